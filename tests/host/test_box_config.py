@@ -172,8 +172,8 @@ def test_single_values(change, key, wire):
         ("=", "unknown key ''.* osr"),
         ("colour=1", r"'colour'.* osr, .*magnetostrictive\.…, thermometers\.…, channel\.NAME\.…"),
         ("channel.lvdt.calibration.colour=1", "'channel.lvdt.calibration.colour'.* poly, "),
-        ("osr=", "^osr: needs a value, such as the 4096 that it has"),
-        ("channel.lvdt.calibration.poly=", "poly: needs a value.* it cannot be removed"),
+        ("osr=", "^osr: .*4096"),
+        ("channel.lvdt.calibration.poly=", "^channel.lvdt.calibration.poly: .*0.0378812345678901234"),
         ("channel.nothing.gain=2", "nothing.* channel.lvdt.calibration, "),
         ("osr=fast", "osr: 'fast'"),
         ("osr=1\nwatchdog_ms=0", r"osr: '1\\nwatchdog_ms=0'"),
@@ -184,7 +184,7 @@ def test_single_values(change, key, wire):
         ("magnetostrictive.us_per_inch=1e999999999999999999999", "'1e9+'"),
         ("magnetostrictive.us_per_inch=9.0000000000000000000000001", "too many digits"),
         ("magnetostrictive.delay_us=0.0001", "at most 3 decimals"),
-        ("channel.lvdt.calibration.poly=[]", "^channel.lvdt.calibration: poly: needs a list"),
+        ("channel.lvdt.calibration.poly=[]", "^channel.lvdt.calibration: poly: .*16 .*0"),
     ],
 )
 def test_bad_values_are_named(change, says):

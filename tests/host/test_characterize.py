@@ -362,7 +362,7 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     ("more", "says"),
     [
         (("--model", "panda"), "other-robot"),
-        (("--model", "puma560", "--out", "-"), "--out - is not a file"),
+        (("--model", "puma560", "--out", "-"), "unreadable-file"),
         (("--model", "puma560", "--rig", "none.toml"), "none.toml"),
         (("--model", "puma560", "--within-mm", "nan"), "within-mm"),
     ],

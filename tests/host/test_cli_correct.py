@@ -13,10 +13,10 @@ from puma_bench import CHAIN, DESIGN, TRUTH, damped
 from scipy.spatial.transform import Rotation
 from tests.host.findings_bench import listed
 from tests.host.target_bench import driven, miss, rapid, script, table
-from tests.refusals import ended
+from tests.refusals import ended, shown
 
 from truearm.correct.target_table import parse_targets
-from truearm.findings import Finding
+from truearm.findings import Finding, Reason
 from truearm.kinds.table_file import read_table
 from truearm.model.chain import forward, joint_jacobian
 from truearm.model.robot_file import load_robot
@@ -221,13 +221,12 @@ def test_own_frames_leave_the_mountings_out(bench, run):
     assert code == 0
     values = listed(json.loads(said))["targets-frames"]
     assert values["base_frame"] == "chuck_fixture"
-    said = f"{values['base']} {values['end']}"
     found = read_calibration(bench.folder / "result.json")
     expected = mountings(found.chain, found.nominal, found.identified)
-    printed = re.findall(r"x, y, z (.*?) mm; rotation vector (.*?) deg", said)
-    for (xyz, turn), pose in zip(printed, expected, strict=True):  # as --work and --tool take them
-        np.testing.assert_allclose(np.array(xyz.split(","), float), 1e3 * pose[:3, 3], atol=1e-3)
-        turned = Rotation.from_rotvec(np.array(turn.split(","), float), degrees=True).as_matrix()
+    for name, pose in zip(("base", "end"), expected, strict=True):  # as --work and --tool take them
+        numbers = np.array(re.findall(r"-?\d[\d.e-]*", values[name]), float)
+        np.testing.assert_allclose(numbers[:3], 1e3 * pose[:3, 3], atol=1e-3)
+        turned = Rotation.from_rotvec(numbers[3:], degrees=True).as_matrix()
         np.testing.assert_allclose(turned, pose[:3, :3], atol=2e-6)
     assert np.abs(expected.base[:3, :3] - np.eye(3)).max() > 1e-3
     own = [float(row["before_mm"]) for row in csv.DictReader(out.open())]
@@ -253,12 +252,12 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ru
     assert (code, error["code"], refused) == (2, "uncertain-moves", [("p.script", line, "run-time")])
     code, said, err = run(*given, tmp_path / "o.script", "--partial", "--mark")
     assert code == 4, err
-    assert said.startswith("1 move not corrected:\n")
+    assert shown["partly-corrected"]["refused"] == 1
     assert Finding("routines-absent", {"names": ["grip"]}).text()[:50] in said
     out = (tmp_path / "o.script").read_bytes().decode("latin-1")
-    assert [row for row in out.splitlines() if "# truearm: not corrected" in row] == [
-        "  movel(get_target_tcp_pose()) # truearm: not corrected: it is computed at run time"
-    ]
+    (row,) = (row for row in out.splitlines() if "# truearm: " in row)
+    assert row.startswith("  movel(get_target_tcp_pose()) # truearm: ")
+    assert row.endswith(Reason("run-time").text())
     plain = out.replace("  grip(3)", "  #").replace("  movel(get_target", "  # movel(get_target")
     assert miss(lands(driven(plain, "o.script", bench.q[0])), bench.targets[[*range(N), N - 1]]) < 0.35e-3
 
@@ -288,10 +287,10 @@ def test_a_folder_is_corrected_whole(bench, tmp_path, run):
     )
     q = driven(whole.decode("latin-1"), "w.mod", bench.q[0])
     assert miss(lands(q), bench.targets[[*range(N), N - 1]]) < 0.35e-3
-    for place, says in ((out, "file-exists"), (tmp_path / "cell" / "new", "folder elsewhere")):
+    for place, error in ((out, "file-exists"), (tmp_path / "cell" / "new", "invalid-input")):
         code, _, err = run(*given, place)
         assert code == 2
-        ended(err, says)
+        ended(err, error, place=place)
     (tmp_path / "cell" / "p.script").write_text("movej(p[0,0,0,0,0,0])")
     code, _, err = run(*given, tmp_path / "new")
     ended(err, "no-program", names=["rapid", "urscript"])

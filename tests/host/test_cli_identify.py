@@ -118,9 +118,9 @@ def test_rigs_with_names_are_of_the_rows_that_name_them(
     assert result["chi2_band"][0] < result["chi2_reduced"] < result["chi2_band"][1]
     bare, plain = tmp_path / "mon.toml", arguments[:-1]
     told(run(*plain, "--rig", mon), "'tue'")
-    told(run(*plain, "--rig", mon, "--rig", mon), "rig mon is given twice")
-    told(run(*plain, "--rig", mon, "--rig", bare), "several rigs need names")
-    told(run(*plain, "--rig", bare, "--rig", bare), "several rigs need names")
+    told(run(*plain, "--rig", mon, "--rig", mon), "given-twice", what="mon")
+    told(run(*plain, "--rig", mon, "--rig", bare), "invalid-input", place="--rig")
+    told(run(*plain, "--rig", bare, "--rig", bare), "invalid-input", place="--rig")
     told(run(*plain, "--rig", mon, "--rig", tue, "--rig", f"wed={bare}"), "no row")
 
 

@@ -39,11 +39,8 @@ def test_copies_are_named_and_measurements_that_are_read_alike_are_none():
     assert found.estimate.n_observations + found.estimate.held_out.n == 120
     judged = truearm.validate(found, with_copies(session(seed=42), slice(20, 40)), RIG)
     assert judged.n == 120
-    (said,) = [line for line in judged.summary().splitlines() if "copies" in line]
-    assert said.startswith(
-        "20 rows are copies of earlier rows, with the same joints, readings and names to the last digit: "
-    )
-    assert "poses.csv row 122 of poses.csv row 22" in said
+    (values,) = [finding.values for finding in judged.findings if finding.code == "copies"]
+    assert (values["n"], values["rows"][0]) == (20, "poses.csv row 122 of poses.csv row 22")
     # A resolution of 10 µm at a noise of 84 µm: 10 of 120 repetitions read the same.
     first = session(5)
     second = replace(first, value=np.round(first.value + 1.4 * SIGMA * np.random.default_rng(43).normal(size=120), 5))

@@ -216,8 +216,15 @@ def test_an_axis_just_beyond_a_quarter_turn_is_shown_on_its_side():
     quarters = np.array([[0.0, np.nan, np.nan, 1.0, np.nan, 0.0]])
     (note,) = configuration_notes(q, quarters, np.array([True]), [7])
     assert note.code == "configuration-data"
-    assert note.values["details"].split("; ") == [
-        "line 7: cf1 is 0, axis 1 at -0.03° needs -1",
-        "line 7: cf4 is 1, axis 4 at 89.9999° needs 0",
-        "line 7: cf6 is 0, axis 6 at -95° needs -2",
+    assert [re.findall(r"-?\d[\d.]*", detail) for detail in note.values["details"].split("; ")] == [
+        [
+            "7",
+            "1",
+            "0",
+            "1",
+            "-0.03",
+            "-1",
+        ],  # line, cf of an axis and its value, the axis and its angle, the value needed
+        ["7", "4", "1", "4", "89.9999", "0"],
+        ["7", "6", "0", "6", "-95", "-2"],
     ]

@@ -1,5 +1,7 @@
 """The recursive estimator: it agrees with the batch estimate, and its outlier gate does not depend on the order of the rows."""
 
+import re
+
 import numpy as np
 import pytest
 from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table, shell_table
@@ -147,7 +149,7 @@ def test_gross_faults_do_not_take_their_neighbours_along(shells):
     e = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(solver="recursive"))
     assert e.status == "converged"
     assert np.flatnonzero(e.weight == 0.0).tolist() == at
-    assert "4 of 800" in e.message
+    assert re.findall(r"\d+", e.message) == ["4", "800"]
 
 
 def test_fits_that_do_not_converge_or_have_nothing_free(ulb):

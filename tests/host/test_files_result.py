@@ -321,9 +321,8 @@ def test_earlier_results_are_read_in_todays_words():
     earlier["pose_error"] = {"sigma_mm": 0.1, "row_variance": 1.5, "n": 40}
     found = parse_result(json.dumps(earlier), "r.json")
     assert found.document["pose_error"] == {"shared_mm": 0.1, "factor": 1.5, "n": 40}
-    assert ["0.1 mm shared by the rows of a pose"] in [
-        finding.values["terms"] for finding in result_findings(found.document) if finding.code == "pose-error"
-    ]
+    ((term,),) = (f.values["terms"] for f in result_findings(found.document) if f.code == "pose-error")
+    assert term.startswith("0.1 mm ")
 
 
 @pytest.mark.parametrize(
@@ -331,7 +330,7 @@ def test_earlier_results_are_read_in_todays_words():
     [
         (lambda c: c["matrix"].pop(), "covariance: needs"),
         (lambda c: c["matrix"][0].pop(), "covariance: needs"),
-        (lambda c: c["units"].pop(), "covariance: needs 18 units and 18 rows of 18 numbers"),
+        (lambda c: c["units"].pop(), "covariance: needs 18 units"),
         (lambda c: c["matrix"][0].__setitem__(0, "1"), "covariance.matrix[0][0]: expected float | null, got str"),
         (lambda c: c.pop("matrix"), "covariance: object missing required field matrix"),
     ],

@@ -217,15 +217,13 @@ def test_of_two_inits_at_once_one_makes_the_project(tmp_path, run, monkeypatch, 
 @pytest.mark.parametrize("name", ["file", "file/cell"])
 def test_init_where_no_folder_can_be(tmp_path, run, name):
     (tmp_path / "file").write_text("mine")
-    code, _, err = run("init", tmp_path / name, "--model", "puma560", "--minutes", 0)
-    assert code == 2
-    assert f"{tmp_path / name}: cannot be used" in err
+    told(run("init", tmp_path / name, "--model", "puma560", "--minutes", 0), "invalid-input", place=tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["sessions", "results"])
 def test_init_where_a_folder_of_the_project_is_a_file_writes_nothing(tmp_path, run, name):
     (tmp_path / name).write_text("mine")
-    told(run("init", tmp_path, "--model", "puma560", "--minutes", 0), f"{tmp_path / name}: cannot be used as a folder")
+    told(run("init", tmp_path, "--model", "puma560", "--minutes", 0), "invalid-input", place=tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -243,7 +241,7 @@ def test_init_as_json_names_the_files_and_the_plan(tmp_path, run):
 def test_options_of_a_file_that_exists_are_refused(tmp_path, run, file, options):
     (tmp_path / file).write_text("# mine")
     outcome = run("init", tmp_path, "--model", "puma560", *options)
-    told(outcome, f"{options[0]} has no effect", f"{file} already exists and is kept")
+    told(outcome, "no-effect", options[0], reason=tmp_path / file)
     assert [path.name for path in tmp_path.iterdir()] == [file]
 
 
@@ -433,8 +431,8 @@ def test_the_newest_file_is_the_one_written_last(tmp_path):
 
 
 def test_a_command_without_a_file_names_the_command_that_makes_one(project, run):
-    assert "folder sessions (truearm.toml) holds no session yet; make one with truearm record" in run("inspect").err
-    assert "folder results (truearm.toml) holds no result yet; make one with truearm identify" in run("report").err
+    told(run("inspect"), "usage", "folder sessions (truearm.toml)", "truearm record")
+    told(run("report"), "usage", "folder results (truearm.toml)", "truearm identify")
     (project / "results").mkdir(exist_ok=True)
     (project / "results" / "deep.json").write_text(f'{{"a": {90_000 * "["}{90_000 * "]"}}}')
     assert (run("report").code, run("status").code) == (2, 0)

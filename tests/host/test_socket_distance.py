@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.host.findings_bench import listed
+from tests.refusals import refused
 
 import truearm
 from truearm.cli.main import main
-from truearm.errors import ProblemError
 from truearm.estimate.prior import weak_prior
 from truearm.kinds.rig_file import parse_rig, write_rig
+from truearm.kinds.socket_distance import other_lengths
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.plan.forecast import planned_table
@@ -96,8 +97,10 @@ def test_a_distance_in_another_unit_is_named(seats, tmp_path, capsys, factor):
     truearm.write_table(tmp_path / "seats.csv", table, ROBOT)
     arguments = ["--model", ROBOT.chain.name, "--rig", str(tmp_path / "rig.toml"), "--joint-laws", "none"]
     assert main(["identify", str(tmp_path / "seats.csv"), *arguments]) in (2, 3)
-    shown = " ".join("".join(capsys.readouterr()).split())
-    assert f"distance is {50 * factor:g} mm in the rig, and about 50 mm by the nominal robot" in shown
+    (finding,) = other_lengths(table, replace(RIG_OF_BLOCK, socket_distances=(wrong,)), ROBOT.chain)
+    lengths = {"declared": {"mm": pytest.approx(50 * factor)}, "nominal": {"mm": pytest.approx(50, abs=0.5)}}
+    assert (finding.code, finding.values) == ("other-distance", {"sockets": ["0", "1"], **lengths})
+    assert " ".join(finding.text().split()) in " ".join("".join(capsys.readouterr()).split())
 
 
 def test_a_block_in_two_rigs_is_said_to_count_twice(seats, tmp_path, capsys):
@@ -116,5 +119,5 @@ def test_a_block_in_two_rigs_is_said_to_count_twice(seats, tmp_path, capsys):
 def test_a_distance_that_is_declared_twice_is_refused(seats, order):
     (distance,) = RIG_OF_BLOCK.socket_distances
     again = replace(distance, sockets=distance.sockets[::order], distance=0.051)
-    with pytest.raises(ProblemError, match=r"sockets 0\.1: two distances; enter the mean"):
+    with refused("given-twice", place="rig", what="sockets 0.1"):
         truearm.identify(ROBOT, seats[0], replace(RIG_OF_BLOCK, socket_distances=(distance, again)))

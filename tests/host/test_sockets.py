@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from command_line import told
 from ros_bags import joint_state, write_bag
+from tests.refusals import ended, shown
 
 from truearm.model.chain import joint_and_end_frames, point_forward, point_jacobians
 from truearm.model.robot_file import load_robot
@@ -128,8 +129,7 @@ def test_the_joints_come_from_the_log_of_the_arm(tmp_path, run, monkeypatch, kin
     names = [name for name, *_ in FIVE]
     arm = urdf(tmp_path / "five.urdf", FIVE)
     few = run("init", ".", "--method", "sockets", "--model", arm, "--seats", 4, "--places", 2)
-    assert few.code == 2
-    assert "8 seats at 2 places do not determine the arm" in few.err
+    told(few, "no-plan", seats=8, places=2)
     assert run("init", ".", "--method", "sockets", "--model", arm, "--seats", 4, "--places", 3).code == 0
     joints = [f"q{i}_deg" for i in range(1, 6)]
     q = np.array([[float(row[name]) for name in joints] for row in rows(Path("places.csv"))])
@@ -146,16 +146,16 @@ def test_the_joints_come_from_the_log_of_the_arm(tmp_path, run, monkeypatch, kin
         ]
         log = write_bag(tmp_path / "bag", "mcap", states)
     before = Path("seats.csv").read_bytes()
-    short = run("seats", log, "--rest-s", 4)
-    assert short.code == 2
-    assert "has 0 rests, and seats.csv has 12 rows without joints" in short.err
+    ended(run("seats", log, "--rest-s", 4).err, "invalid-input", place=log, rests=[], rows=12)
     assert Path("seats.csv").read_bytes() == before
-    assert "12 rows filled with the joints of 12 rests" in run("seats", log).out
+    assert run("seats", log).code == 0
+    assert (shown["seats-filled"]["place"], shown["seats-filled"]["n"]) == ("seats.csv", 12)
     filled = np.array([[float(row[name]) for name in joints] for row in rows(Path("seats.csv"))])
     np.testing.assert_allclose(filled, q, atol=np.degrees(1e-4))
     assert json.loads(run("status", "--json").out)["seats"]["noted"] == 12
-    assert "has 12 rests, and seats.csv has 0 rows without joints" in (again := run("seats", log).err)
-    assert "Rests: 100.0 to 103.0 s, 104.5 to" in again
+    ended((again := run("seats", log)).err, "invalid-input", place=log, rows=0)
+    rests = again.finding.values["rests"]
+    assert (len(rests), rests[0]) == (12, "100.0 to 103.0 s")
 
 
 def facets(data):
@@ -189,7 +189,7 @@ def test_an_arm_with_four_axes_is_planned_and_one_with_three_is_not(tmp_path, ru
     four, three = (urdf(tmp_path / f"{n}.urdf", FIVE[:n]) for n in (4, 3))
     assert run("init", tmp_path / "a", "--method", "sockets", "--model", four, "--seats", 6, "--places", 3).code == 0
     assert len(rows(tmp_path / "a" / "places.csv")) == 18
-    told(run("init", tmp_path / "b", "--method", "sockets", "--model", three), "3 joints; a plan of sockets needs four")
+    told(run("init", tmp_path / "b", "--method", "sockets", "--model", three), "no-plan", joints=3)
     assert not (tmp_path / "b").exists()
 
 
@@ -211,18 +211,18 @@ def test_no_link_touches_a_table_that_is_higher_than_the_base(tmp_path, run):
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("options", "code", "values"),
     [
-        (["--table-mm", 900], "reaches 0 of 6 places"),
-        (["--bars-mm", "300"], "--bars-mm has no effect"),
-        (["--chucks", 3], "--chucks has no effect"),  # also at its default
-        (["--minutes", 10], "--minutes has no effect"),
-        (["--ball-xyz-mm", "1,2"], "--ball-xyz-mm"),
+        (["--table-mm", 900], "no-plan", {"reached": 0, "places": 6}),
+        (["--bars-mm", "300"], "no-effect", {"place": "bars_mm"}),
+        (["--chucks", 3], "no-effect", {"place": "chucks"}),  # also at its default
+        (["--minutes", 10], "no-effect", {"place": "minutes"}),
+        (["--ball-xyz-mm", "1,2"], "wrong-value", {"place": "--ball-xyz-mm", "value": "1,2"}),
     ],
 )
-def test_what_cannot_be_planned_writes_nothing(tmp_path, run, options, complaint):
+def test_what_cannot_be_planned_writes_nothing(tmp_path, run, options, code, values):
     arm = urdf(tmp_path / "five.urdf", FIVE)
-    told(run("init", tmp_path / "bench", "--method", "sockets", "--model", arm, *options), complaint)
+    told(run("init", tmp_path / "bench", "--method", "sockets", "--model", arm, *options), code, **values)
     assert not (tmp_path / "bench").exists()
 
 
@@ -244,4 +244,4 @@ def test_radians_called_degrees_are_named_although_a_ball_in_metres_would_be_too
             writer.writerow({k: np.radians(float(v)) if k.startswith("q") else v for k, v in row.items()})
     answer = run("identify", "--hold-out", "place=p6")
     assert answer.code == 3, answer
-    assert "the joint readings are in radians, not in degrees" in " ".join(answer.out.split())
+    assert (shown["wrong-unit"]["are"], shown["wrong-unit"]["called"]) == ("radians", "degrees")

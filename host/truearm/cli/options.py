@@ -163,11 +163,10 @@ def rigs_of(texts: Sequence[str]) -> dict[str, Path]:
     for text in texts:
         match = re.fullmatch(r"(?:([\w-]{1,64})=)?(.*)", text, re.ASCII | re.DOTALL)  # a name as in a table
         name, file = ("", text) if match is None else (match[1] or "", match[2])
-        if name in files or (files and "" in (name, *files)):
-            problem = (
-                f"rig {name} is given twice" if name in files and name else "several rigs need names, --rig NAME=FILE"
-            )
-            raise InputError(f"--rig {text}: {problem}")
+        if name and name in files:
+            raise InputError("given-twice", place=f"--rig {text}", what=f"rig {name}")
+        if files and "" in (name, *files):
+            raise InputError(f"--rig {text}: several rigs need names, --rig NAME=FILE")
         files[name] = Path(file)
     return files
 

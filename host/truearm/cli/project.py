@@ -96,7 +96,7 @@ class ProjectCommand(click.Command):
                     raise InputError(f"{parameter.opts[0]} must be a finite number, is {value}")
                 if value in ("-", Path("-")) and parameter.type.name == "path":
                     option = parameter.opts[0] if parameter.opts[0].startswith("-") else ""
-                    raise InputError(f"{option} - is not a file; give its path".lstrip())
+                    raise InputError("unreadable-file", place=f"{option} -".lstrip())
                 if parameter.name in TAKES and isinstance(value, str | Path):
                     _check_kind(parameter.name, value, self.params)
         project_words = [

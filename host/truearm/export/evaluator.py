@@ -51,7 +51,7 @@ def write_c(source: RobotToWrite) -> str:
 def _filled(suffix: str, comment: list[str], lines: list[str]) -> str:
     """Return the template with its tables."""
     text = resources.files(__package__).joinpath(f"evaluator_template.{suffix}").read_text("utf-8")
-    begin, end = ("# tables\n", "# end of tables\n") if suffix == "py" else ("/* tables */\n", "/* end of tables */\n")
+    begin, end = ("# tables\n", "# end tables\n") if suffix == "py" else ("/* tables */\n", "/* end tables */\n")
     head, _, tail = text.partition(begin)
     return "\n".join([*comment, head]) + begin + "\n".join(lines) + "\n" + end + tail.partition(end)[2]
 

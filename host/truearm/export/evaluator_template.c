@@ -17,7 +17,7 @@
 
 /* tables */
 
-/* end of tables */
+/* end tables */
 
 #define LARGEST_CHANGE 0.5
 #define LARGEST_STEP 0.1

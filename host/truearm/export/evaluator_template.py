@@ -27,7 +27,7 @@ NOMINAL_GAINS: tuple[float, ...] = ()
 SAG: tuple[tuple[int, int, tuple[float, ...], float], ...] = ()
 PAYLOAD_MASS = 0.0
 PAYLOAD_CENTRE = (0.0, 0.0, 0.0)
-# end of tables
+# end tables
 
 LARGEST_CHANGE, LARGEST_STEP = 0.5, 0.1
 STEPS, STEP_END, DAMPING = 60, 1e-13, 1e-12

@@ -60,9 +60,7 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
     pairs = [".".join(sorted(measured.sockets)) for measured in rig.socket_distances]
     if len({*pairs}) < len(pairs):
         twice = max(pairs, key=pairs.count)
-        raise ProblemError(
-            f"sockets {twice}: two distances; enter the mean of their measurements in the rig, one for each pair"
-        )
+        raise ProblemError("given-twice", place="rig", what=f"the distance of sockets {twice}")
     index = {label: i for i, label in enumerate(sockets.labels)}
     places = dict.fromkeys(label[0] for label in sockets.labels if isinstance(label, tuple))
     rows = [

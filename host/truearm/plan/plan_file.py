@@ -87,7 +87,7 @@ def _check_visit(visit: dict[str, str], pose: int, place: str) -> None:
         remedy = f"every {move} needs {' and '.join(needed)}"
         if move == Move.VIA:
             remedy = "name bar, chuck and sphere, or none of them"
-        raise PlanError(f"{place}: has no {' and '.join(missing)}; {remedy}")
+        raise PlanError(f"{place} column {missing[0]}: has no value; {remedy}")
     if foreign:
         raise PlanError(f"{place} column {foreign[0]}: {reason}; leave it empty")
 

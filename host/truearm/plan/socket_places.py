@@ -102,7 +102,7 @@ def plans_of_sites(
     chain = robot.chain
     joints = len(chain.motors)
     if joints < MIN_JOINTS:
-        raise PlanError(f"robot {chain.name} has {joints} joints; a plan of sockets needs four or more")
+        raise PlanError(f"robot {chain.name} has {joints} joints; a plan of sockets needs four or more", joints=joints)
     arm = _arm(robot, np.array(ball), block, table)
     q = np.random.default_rng(0).uniform(arm.limits[0], arm.limits[1], (N_POSTURES, joints))
     q = chain.completed(q)
@@ -136,6 +136,7 @@ def plans_of_sites(
             "postures that differ; ask for fewer ",
             *(Argument("places"), " or ", Argument("seats"), ", or correct ", Argument("ball_xyz_mm")),
             *(" or ", Argument("table_mm")),
+            **{"reached": n_best, "places": n_sites},
         )
 
 

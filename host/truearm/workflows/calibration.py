@@ -50,8 +50,8 @@ class Calibration(Displayed):
     --------
     >>> import truearm
     >>> result = truearm.read_result("result.json")
-    >>> print(str(result).splitlines()[0])
-    Usable: the mean error of 90 poses left out in turn is 0.0... mm, and 2... mm with the nominal robot. (puma560)
+    >>> result.findings[0].code
+    'usable'
     >>> result.covariance.shape
     (54, 54)
     """

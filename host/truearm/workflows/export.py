@@ -48,11 +48,8 @@ class ExportedRobot(Displayed):
     >>> written = truearm.export_robot(truearm.read_result("result.json"), "urdf")
     >>> written.missing[0]
     'joint1.gain'
-    >>> print(written)  # doctest: +ELLIPSIS
-    The file differs from the identified robot by ... mm RMS (... mm at most) and ... deg RMS, after a refit over 600 poses; ...
-    The format urdf has no place for joint1.gain, ...
-    Mountings, which the file contains: ...
-    For the best fit where you work, give over FILE, a plan or a table of poses there.
+    >>> [finding.code for finding in written.findings]
+    ['exported', 'format-lacks', 'file-mountings', 'refit-next']
     """
 
     form: str

@@ -73,11 +73,12 @@ def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float,
     bounds = np.array([bound if unit.si == "rad" else MM.to_si(DEG.of(bound)) for unit in units])
     stops = rests(log.t, log.q, shortest, bounds)
     if len(stops) != len(empty) or not stops:
-        times = ", ".join(f"{stop.begin:.1f} to {stop.end:.1f} s" for stop in stops) or "none"
+        times = [f"{stop.begin:.1f} to {stop.end:.1f} s" for stop in stops]
         counts = f"{counted(len(stops), 'rest')}, and {table} has {counted(len(empty), 'row')} without joints"
         advice = "rest in each socket once, and longer than elsewhere: choose "
-        end = f", or delete rows that were not measured. Rests: {times}"
-        raise InputError(f"{source}: has {counts}; {advice}", Argument("rest_s"), " and ", Argument("rest_deg"), end)
+        end = f", or delete rows that were not measured. Rests: {', '.join(times) or 'none'}"
+        text = f"{source}: has {counts}; {advice}", Argument("rest_s"), " and ", Argument("rest_deg"), end
+        raise InputError(*text, rests=times, rows=len(empty))
     for cells, stop in zip(empty, stops, strict=True):
         for joint, unit, value in zip(joints, units, stop.q.tolist(), strict=True):
             cells[joint.position] = f"{unit.of(value):.7g}"

@@ -76,7 +76,8 @@ def plan_sockets(robot: Robot, request: SocketSeats, name: str) -> tuple[dict[st
     predicted = forecast(knowledge, seated, Aim(seated.q, tuple(rig.spheres)))
     if predicted.cartesian is None:
         raise PlanError(
-            f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more seats or places"
+            f"{len(seated)} seats at {len(sites)} places do not determine the arm; plan more seats or places",
+            **{"seats": len(seated), "places": len(sites)},
         )
     moving = robot.chain.motors
     units = [DEG if robot.chain.joints[joint].kind == "revolute" else MM for joint in moving]
