@@ -161,7 +161,7 @@ class TestWhatIsWrong:
         bag = write_bag(tmp_path / "bag", "mcap", states)
         (path,) = bag.glob("*.mcap")
         path.write_bytes(path.read_bytes()[:-1000])
-        assert "bag: is not a bag" in self.fails(capsys, out, recorded.bare, bag, "--joints", ",".join(NAMES))
+        ended(self.fails(capsys, out, recorded.bare, bag, "--joints", ",".join(NAMES)), "malformed-file", place=bag)
 
     def test_a_session_that_is_none(self, table, out, capsys):
         ended(self.fails(capsys, out, table, table), "not-a-session")

@@ -72,7 +72,7 @@ def test_lines_are_fitted_but_for_the_last_one(tmp_path, monkeypatch):
 def test_without_micropython_the_demo_says_so_and_works(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(micropython, "find", lambda: None)
     assert main(["demo", "--out", str(tmp_path), "--poses", "45", "--rate", "250"]) == 0
-    assert "CPython; no MicroPython was found" in capsys.readouterr().out
+    assert "firmware: CPython" in capsys.readouterr().out
     assert json.loads((tmp_path / "result.json").read_text())["rank"] == 36
     assert main(["inspect", str(tmp_path / "session.mcap"), "--json"]) == 0
     (stream,) = json.loads(capsys.readouterr().out)["streams"]

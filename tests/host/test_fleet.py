@@ -16,6 +16,7 @@ import pytest
 from identify_bench import SIGMA, exact_lengths
 
 from truearm.estimate.result_file import FORMAT
+from truearm.findings import Finding
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import read_table, write_table
 from truearm.workflows.project_file import FILE, Project, format_project
@@ -103,7 +104,8 @@ def test_a_page_states_once_what_was_noticed_while_reading(run, cells):
     write_table(poses, replace(table, time=np.arange(len(table))[::-1].astype(float)), ("rad",) * 6)
     assert run("fleet", cells, "--workers", 1, "--reports").code == 0
     (result,) = results(cells)["a"]
-    assert result.with_suffix(".html").read_text("utf-8").count("not in the order of time_s") == 1
+    text = Finding("rows-reordered", {"place": "poses.csv"}).text()
+    assert result.with_suffix(".html").read_text("utf-8").count(text) == 1
 
 
 def test_a_result_of_other_options_is_not_adopted(run, cells, monkeypatch):
@@ -144,7 +146,7 @@ def test_the_worst_arm_is_the_exit_code(run, cells, tmp_path):
     (cells / "b" / "results").write_text("a file")
     rows, codes = rows_and_code()
     assert codes == (1, 2, 1, 0)
-    assert "results: File exists; " in rows["b"]["verdict"]
+    assert "results: File exists" in rows["b"]["verdict"]
     assert [row["code"] for row in csv.DictReader(table.open())] == ["2", "1", "0"]
     table.write_text("mine\n")
     assert run("fleet", cells, "--out", table).code == 2

@@ -203,7 +203,7 @@ BROKEN = [
     (BY_HAND, 'joint = "slide"', 'joint = ""', "transform: item 4: joint: ''"),
     (BY_HAND, "lower_deg = -170.0", "lower_deg = 170.0", "transform: item 3: swing: its lower limit"),
     (BY_HAND, 'end_frame = "pen"', 'end_frame = "pen"\n[joint1]', "unknown key 'joint1'"),
-    (ARM, "lower_deg = [-155.0, -80.0, -60", "lower_deg = [-60", "branch: needs bounds of [0-9] joints, lower has"),
+    (ARM, "lower_deg = [-155.0, -80.0, -60", "lower_deg = [-60", "branch: .*6 joints, lower .*4"),
     (ARM, "lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, -500.0", "joint2 must lie within its limits"),
     (ARM, "lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, 101.0", "joint2 .* lower below upper"),
     (ARM, "joint = 0", "joint = 7", "capsule: item 1: joint: must be"),
@@ -233,7 +233,7 @@ def test_what_a_robot_file_need_not_say():
     assert ARM.count(limits) == 1
     first = parse_robot(ARM.replace(limits, "")).chain.joints[0]
     assert (first.lower, first.upper) == (-np.inf, np.inf)
-    with pytest.raises(RobotError, match="joint1: has only one limit"):
+    with pytest.raises(RobotError, match=r"joint1: .*lower and upper"):
         parse_robot(ARM.replace(limits, limits.splitlines()[0] + "\n"))
     robot = parse_robot(ARM.split("# Branch", 1)[0])
     assert robot.branch is None

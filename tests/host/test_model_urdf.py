@@ -80,7 +80,7 @@ def test_base_and_tip_choose_a_path_and_ignore_the_rest():
     with pytest.raises(RobotError, match=r"2 end links.* d, e"):
         chain_from_urdf(text)
     assert [j.name for j in chain_from_urdf(text, tip="d").joints] == ["j1", "finger"]
-    with pytest.raises(RobotError, match="free: a floating joint"):
+    with pytest.raises(RobotError, match=r"free: .*floating"):
         chain_from_urdf(text, tip="e")
 
 

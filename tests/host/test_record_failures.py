@@ -18,6 +18,7 @@ from tests.refusals import shown
 
 from truearm.cli.main import main
 from truearm.errors import LinkError
+from truearm.findings import Finding
 from truearm.record.links import HostClock, SerialLink, TcpLink
 from truearm.session.session_file import open_session
 
@@ -96,7 +97,7 @@ class TestTheBoxGoes:
             assert main(["record", "--box", device, "--out", str(out), "--duration-s", "4"]) == 4
         said = capsys.readouterr()
         *lines, gone = said.err.splitlines()
-        assert sum("s: box: " in line and line.endswith("; lost; trying to open it again") for line in lines) == 1
+        assert sum("s: box: " in line and line.endswith(f"; {Finding('box-lost').text()}") for line in lines) == 1
         assert "the box was gone at the end" in gone
         assert str(out) in gone
         assert shown["recorded"]["ended"] == "duration"

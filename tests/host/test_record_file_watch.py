@@ -18,8 +18,9 @@ from record_files import events, run, topics
 from record_real import box_on_a_socket, line_of
 from test_record_command import RIG
 from tests.host.tcp_peer import Peer
+from tests.refusals import refused
 
-from truearm.errors import SessionError, WriteError
+from truearm.errors import SessionError
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
@@ -117,7 +118,7 @@ def test_a_full_disk_keeps_no_part_of_a_rescued_file(lab, tmp_path, monkeypatch,
 
     monkeypatch.setattr(Path, "open", open_)
     if both:
-        with pytest.raises(WriteError, match="its content is lost"):
+        with refused("cannot-write", place=path):
             lost(lab, path, path.unlink)
         assert list(other.iterdir()) == []
     else:

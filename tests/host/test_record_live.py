@@ -1,5 +1,7 @@
 """Dwells and lines during a recording, and the plan to which they belong."""
 
+import re
+
 import numpy as np
 import pytest
 from record_live import NOISE, PAIRS, S, Session, plan
@@ -66,7 +68,7 @@ class TestDwells:
         session.run(1.0)
         session.robot = False
         session.run(6.0)
-        assert session.row("taken").text.startswith("0 of 4 dwells")
+        assert re.match(r"0 \w+ 4 dwells$", session.row("taken").text)
         assert not session.events("dwell")
         session = Session(mounted={"bar": "b46"}, robot=False)
         session.run(1.0)
@@ -83,7 +85,7 @@ class TestThePlan:
         session.run(0.5, q_speed=-1.0)  # back to the first
         session.run(2.5)
         assert session.state.progress.done == {0, 1}
-        assert session.row("taken").text.startswith("2 of 4 dwells, standing")
+        assert re.match(r"2 \w+ 4 dwells, standing", session.row("taken").text)
         session = Session(plan(*PAIRS[:2]))
         session.run(2.5)
         said = f"; {Finding('plan-complete').text()}"
@@ -95,7 +97,7 @@ class TestThePlan:
         session = Session(plan(*PAIRS))
         session.q = np.array([3.0, -3.0])
         session.run(2.5)
-        assert session.row("taken").text.startswith("0 of 4 dwells, 1 not in the plan")
+        assert re.match(r"0 \w+ 4 dwells, 1 ", session.row("taken").text)
         assert session.said[-1].startswith("stop ")
         assert "pose" not in session.events("dwell")[0]
 
@@ -144,9 +146,9 @@ class TestThePlan:
         ]
         session = Session(rows)
         session.run(2.0)
-        assert session.row("taken").text.startswith("0 of 2 lines")
+        assert re.match(r"0 \w+ 2 lines", session.row("taken").text)
         session.run(0.5, q_speed=1.0)
-        assert session.row("taken").text.startswith("1 of 2 lines")
+        assert re.match(r"1 \w+ 2 lines", session.row("taken").text)
         assert session.row("mounted").alarms[0].values["what"] == "line l2, target t1"
         session.run(2.0)  # a stop is no dwell where the plan has none
         assert [event["pose"] for event in session.events("line")] == [1]

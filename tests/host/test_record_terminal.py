@@ -22,6 +22,7 @@ from test_record_command import CALIBRATED
 from tests.refusals import ended
 
 from truearm.cli.main import main
+from truearm.findings import Finding
 from truearm.session.session_file import open_session
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
@@ -179,7 +180,7 @@ class TestControlC:
     def test_while_the_box_is_away(self, tmp_path):
         with recording(tmp_path) as (terminal, box, out):
             box.link.on_write = lambda raw: (_ for _ in ()).throw(OSError)  # play() ends: the connection is closed
-            terminal.expect(r"lost; trying to open it again")
+            terminal.expect(Finding("box-lost").text())
             terminal.type(CONTROL_C)
             assert terminal.end() == 4
         assert "the box was gone at the end" in terminal.text

@@ -8,6 +8,7 @@ import pytest
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from ros_bags import STORAGES, joint_state, write_bag
+from tests.refusals import refused
 
 from truearm.errors import InputError
 from truearm.record.robots.bags import readings
@@ -122,7 +123,7 @@ def test_messages_that_are_none(tmp_path, storage, data, says):
 
 def test_what_is_no_bag(tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="is not a bag"):
+    with refused("malformed-file", place=tmp_path / "empty"):
         read(tmp_path / "empty")
     with pytest.raises(InputError, match="no such file"):
         read(tmp_path / "nothing.db3")

@@ -7,8 +7,9 @@ from itertools import chain, count
 import numpy as np
 import pytest
 from session_stream import PERIOD_NS, RIG, Box, columns_of, counts_of, ident_document, renumber, session, stream_of
+from tests.refusals import refused
 
-from truearm.errors import RigError, SessionError
+from truearm.errors import RigError
 from truearm.report.session_findings import REJECTED
 from truearm.session.box_ident import parse_ident
 from truearm.session.clock import fit_clock
@@ -246,7 +247,7 @@ def test_without_exchanges_samples_channel_or_ident(clean):
     assert (nothing.dwells, len(nothing.table)) == ((), 0)
     assert len(synced([]).table) == 0
     named = [m._replace(data=m.data.replace(b"lvdt", b"gage")) if m.topic == "/box/ident" else m for m in clean[0]]
-    with pytest.raises(SessionError, match="no channel 'lvdt'; it has gage"):
+    with refused("invalid-input", "'lvdt'", "gage"):
         synced(named)
     messages = [m for m in clean[0] if m.topic != "/box/ident"]
     assert synced(messages).reasons == {"no samples": 10}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from truearm.errors import InputError, TableError
+from truearm.errors import InputError
 from truearm.record.robots.joint_table import parse_renames, readings, renamed, separator_of
 from truearm.record.robots.sources import FileOptions
 
@@ -59,7 +59,7 @@ def test_renames_that_are_none(text):
 
 def test_a_column_that_is_not_there_is_named(tmp_path):
     table(tmp_path / "r.csv", ",", False)
-    with pytest.raises(TableError, match=r"r\.csv: no column 'stamp'; the table begins with 'timestamp', 'robot_mode'"):
+    with refused("malformed-file", "'timestamp', 'robot_mode'", place="r.csv", reason="'stamp'"):
         list(readings(tmp_path / "r.csv", FileOptions("", columns=parse_renames("t_s=stamp,q{}_rad=actual_q_{}"))))
     with refused("wrong-value"):
         list(readings(tmp_path / "r.csv", FileOptions("", columns=parse_renames("t_s=timestamp,q{}=actual_q_{}"))))

@@ -532,6 +532,10 @@ def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
         yield Finding("noise-share", {"declared": declared, "unexplained": shown, "rest": remainder})
 
 
+# outliers, with joint laws or without
+WHY_KEPT = {True: "they hardly change the fit", False: "the residuals of most rows exceed their declared noise"}
+
+
 def outliers(document: Document) -> Iterator[Finding]:
     """Return the outliers, and the fit of all rows."""
     rows, fitted, all_rows = document["suspect"], document["n_observations"], document["with_outliers"]
@@ -547,8 +551,7 @@ def outliers(document: Document) -> Iterator[Finding]:
         ignored = sum(row["weight"] < IGNORED for row in rows)
         values |= {"ignored": ignored, "loss": loss, "share": f"{100 * IGNORED:.0f} %"}
     if left_out and fitted_rows:
-        usual = "the residuals of most rows exceed their declared noise"
-        values["why"] = "they hardly change the fit" if laws else usual
+        values["why"] = WHY_KEPT[laws]
         values |= {"kept": named_rows(fitted_rows), "first": [fitted_rows[0]["source"]]}
     if all_rows is not None:
         after = sizes(all_rows, "rms_after", document["residual_units"])
