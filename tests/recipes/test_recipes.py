@@ -117,12 +117,14 @@ def write_more_of_the_kind(folder, lines):
         (folder / f"wrong{i}.toml").write_text(rig)
     document = session_stream.ident_document()
     (stream,) = document["streams"]
-    stream["channels"][0] |= {"name": "inclinometer", "calibration": {"unit": "rad", "poly": session_stream.POLY}}
+    for channel, name in zip(stream["channels"], ("inclinometer", "inclinometer_b"), strict=False):
+        channel |= {"name": name, "calibration": {"unit": "rad", "poly": session_stream.POLY}}
     with patch.object(session_stream, "ident_document", lambda *_: document):
         messages, truth = session_stream.session(np.random.default_rng(6), dwells=4, plan=False)
     session_stream.write_session(folder / "s.mcap", messages)
     (folder / "seventh.toml").write_text(INCLINOMETERS.replace("joint2", "joint7"))
-    (folder / "device.toml").write_text("[[inclinometer]]\nname = 'i1'\nsigma_rad = 1e-4\n")
+    device = "[[inclinometer]]\nname = '{}'\nsigma_rad = 1e-4\naxis = [{}]\njoint = 'joint2'\n"
+    (folder / "device.toml").write_text(device.format("i1", "1, 0, 0") + device.format("i2", "0, 1, 0"))
     return truth
 
 
@@ -333,12 +335,15 @@ def rows(copy, name):
         return list(csv.DictReader(file))
 
 
-def test_a_session_has_a_row_of_the_kind_for_each_dwell(copy, said):
-    """The box reads the inclinometer in place of an LVDT; its channel is calibrated in rad, and no bar is mounted."""
+def test_a_session_has_a_row_of_the_kind_for_each_dwell_and_axis(copy, said):
+    """The box reads both axes of an inclinometer in place of an LVDT; the channels are calibrated in rad, and no bar is mounted."""
     exported = rows(copy, "exported/observations.csv")
-    assert [(row["kind"], row["inclinometer"]) for row in exported] == [("inclinometer", "i1")] * 4
+    assert [(row["kind"], row["inclinometer"]) for row in exported] == [("inclinometer", "i1")] * 4 + [
+        ("inclinometer", "i2")
+    ] * 4
     angles = [float(row["inclination_rad"]) for row in exported]
-    assert angles == pytest.approx(copy.session_truth.length - 0.46, abs=1e-6)
+    assert angles[:4] == pytest.approx(copy.session_truth.length - 0.46, abs=1e-6)
+    assert angles[4:] == pytest.approx(session_stream.metres_of(np.zeros(4)), abs=1e-9)
 
 
 def test_the_kind_is_identified_judged_and_reported(copy, said):

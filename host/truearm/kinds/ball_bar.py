@@ -217,10 +217,10 @@ def _bar(gain: float = 1.0, **values: Any) -> BallBar:
     return bar
 
 
-def dwell_sensor(rig: Rig, mounted: Mapping[str, str]) -> DwellSensor:
+def dwell_sensor(rig: Rig, mounted: Mapping[str, str]) -> tuple[DwellSensor]:
     """Return the bar that is mounted."""
     bar = rig.bars[mounted["bar"]]
-    return DwellSensor(mounted, bar.zero, bar.gain, bar.sigma, bar.travel)
+    return (DwellSensor(mounted, bar.zero, bar.gain, bar.sigma, bar.travel),)
 
 
 CHUCK = Entries("chuck", POINT, "chucks", by_name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,8 +46,8 @@ class Kind(KindColumns):
     use_rig: Callable[[Scope, Indices], RigUse]
     entries: tuple[Entries[Any], ...] = ()  # entry types of rig files that it uses, its own and shared ones
     channels: tuple[tuple[str, ...], ...] = ()  # of the box, from which a session reads it, for each stream
-    dwell: Callable[[Rig, Mapping[str, str]], DwellSensor | None] | None = (
-        None  # the sensor on its channel while these parts are mounted, whose mean in a dwell is the row's quantity
+    dwell: Callable[[Rig, Mapping[str, str]], Sequence[DwellSensor | None]] | None = (
+        None  # the sensor on each channel while these parts are mounted, whose mean in a dwell is a row's quantity
     )
     free_names: tuple[str, ...] = ()  # identifiers without entries in the rig: then any name is valid
     point: str = ""  # the column that names the measured point of the end; "" if there is none

@@ -35,7 +35,7 @@ from truearm.types import MOUNTING, DwellLabel, Floats, Rig
 # Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
 BAR, LINE = "ball_bar", "line"
-SensorOf = Callable[[Rig, Mapping[str, str]], DwellSensor | None]
+SensorsOf = Callable[[Rig, Mapping[str, str]], Sequence[DwellSensor | None]]
 
 
 @dataclass(frozen=True)
@@ -167,13 +167,14 @@ def observations(
     dwells = with_mountings(dwells, marks)
     passes = passes_of(surveyed.legs, marks, rig)
     reach = np.inf if rig.line_travel is None else 0.5 * rig.line_travel
-    by_kind: dict[str, list[Dwell]] = {}
+    of_channels: list[tuple[str, list[Dwell]]] = []
     for kind_name, kind in registry.kinds().items():
         if kind.dwell is not None:  # what was mounted does not rule out sensors other than the bar
             bare = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, surveyed.dwells, strict=True))
             stops = dwells if kind_name == BAR else list(bare)
-            by_kind[kind_name] = _measured(stops, kind_name, kind.dwell, surveyed, rig)
-    dwells = by_kind[BAR]
+            for number in range(len(kind.channels)):
+                of_channels.append((kind_name, _measured(stops, kind_name, number, kind.dwell, surveyed, rig)))
+    dwells = dict(of_channels)[BAR]
     driven, channels, any_clock = list[LinePass](), surveyed.samples[LINE], bool(surveyed.clocks)
     for line_pass in passes:
         outcome: LinePass | None = line_pass
@@ -181,7 +182,7 @@ def observations(
             outcome = measure(line_pass, channels, surveyed.joints, any_clock, reach, line_points)
         driven += [] if outcome is None else [outcome]
     counts = [dwell.n_samples for dwell in dwells if not dwell.reason] + [line_pass.n_samples for line_pass in driven]
-    tables = [_of_dwells(dwells, kind, surveyed.joints, name) for kind, dwells in by_kind.items()]
+    tables = [_of_dwells(dwells, kind, surveyed.joints, name) for kind, dwells in of_channels]
     for number, line_pass in enumerate(driven, start=1):
         source = [f"{name} pass {number}.{row}" for row in range(1, len(line_pass.table) + 1)]
         tables += [line_pass.table.replace(source=source)] if not line_pass.reason else []
@@ -197,11 +198,12 @@ def observations(
     return SyncResult(table, tuple(dwells), tuple(driven), surveyed, sum(counts))
 
 
-def _measured(dwells: Sequence[Dwell], name: str, sensor_of: SensorOf, surveyed: Survey, rig: Rig) -> list[Dwell]:
-    """Return the dwells, those without a reason with what the sensor of a kind measured."""
-    (samples,) = surveyed.samples[name]
-    dwells = list(dwells)
-    sensors = {i: sensor_of(rig, dwell.mounted) for i, dwell in enumerate(dwells) if not dwell.reason}
+def _measured(
+    dwells: Sequence[Dwell], name: str, number: int, sensors_of: SensorsOf, surveyed: Survey, rig: Rig
+) -> list[Dwell]:
+    """Return the dwells, those without a reason with what the sensor on a channel of a kind, by its number, measured."""
+    samples, dwells = surveyed.samples[name][number], list(dwells)
+    sensors = {i: sensors_of(rig, dwell.mounted)[number] for i, dwell in enumerate(dwells) if not dwell.reason}
     if name == BAR and sensors:
         samples.check()
 
