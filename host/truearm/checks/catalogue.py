@@ -31,6 +31,7 @@ KNOTS = 25  # rows at which a run may begin or end; the best is refined row by r
 STEPS = 60  # rows at which a step may begin
 OWN_EDGE = 8  # rows
 LEAST_WARMING = 0.2  # K
+MOST_TOGETHER = 600  # columns times profiles
 BEND = 3.0  # of a drift that settles: 1 − exp(−BEND t)
 
 
@@ -146,6 +147,13 @@ class Catalogue:
         joined = np.column_stack([columns * size, *nuisance])
         self.hypotheses.append(Hypothesis(self.fit, kind, item, form, joined, size, tuple(units), candidates))
 
+    def add_in_time(
+        self, item: str, columns: Floats, units: Sequence[str], forms: Sequence[str] = ("step", "run", "drift")
+    ) -> None:
+        """Add an item that is off from some row on, for a while, or more and more."""
+        for form in forms:
+            self.add(item, form, columns, units, self.drifts if form == "drift" else self.spans(columns, form))
+
     def spans(self, columns: Floats, form: str) -> Candidates:
         """Return the steps or runs between the rows that some columns (m, d) touch, with LEAST_ROWS of them on either side.
 
@@ -162,12 +170,18 @@ class Catalogue:
 
 
 def alike(hypotheses: Sequence[Hypothesis]) -> list[list[Hypothesis]]:
-    """Return the hypotheses in sets with the same candidates and as many columns, which are weighed together."""
-    sets: dict[tuple[int, int, int], list[Hypothesis]] = {}
+    """Return the hypotheses in sets with the same candidates and as many columns, which are weighed together.
+
+    Products of all columns of a set grow with the square of their number, so large sets are divided.
+    """
+    by_shape, sets = dict[tuple[int, int, int], list[Hypothesis]](), []
     for hypothesis in hypotheses:
-        key = id(hypothesis.candidates), hypothesis.columns.shape[1], hypothesis.sizes.size
-        sets.setdefault(key, []).append(hypothesis)
-    return list(sets.values())
+        shape = id(hypothesis.candidates), hypothesis.columns.shape[1], hypothesis.sizes.size
+        by_shape.setdefault(shape, []).append(hypothesis)
+    for (_, columns, _), members in by_shape.items():
+        most = max(MOST_TOGETHER // (columns * len(members[0].candidates.profiles)), 1)
+        sets += [members[first : first + most] for first in range(0, len(members), most)]
+    return sets
 
 
 def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
@@ -193,10 +207,7 @@ def add_item(out: Catalogue, cause: Cause) -> None:
         return
     if is_constant(cause, fit):
         out.add(cause.name, "offset", columns, units, out.always)
-    if fault.step:
-        for form in ("step", "run"):
-            out.add(cause.name, form, columns, units, out.spans(columns, form))
-    out.add(cause.name, "drift", columns, units, out.drifts)
+    out.add_in_time(cause.name, columns, units, ("step", "run", "drift") if fault.step else ("drift",))
 
 
 def is_constant(cause: Cause, fit: WhitenedFit) -> bool:
@@ -219,8 +230,7 @@ def add_groups(out: Catalogue) -> None:
 def add_tilt(out: Catalogue) -> None:
     """Add a base that tilts about its level axes: the usual one of its six motions, and so a hypothesis by itself."""
     columns, units = out.fit.by_numbers(["base.rx", "base.ry"])
-    out.add("base.tilt", "step", columns, units, out.spans(columns, "step"))
-    out.add("base.tilt", "drift", columns, units, out.drifts)
+    out.add_in_time("base.tilt", columns, units, ("step", "drift"))
 
 
 def add_joints(out: Catalogue) -> None:
@@ -233,9 +243,7 @@ def add_joints(out: Catalogue) -> None:
         reading = q[:, number][fit.row]
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
-        for form in ("step", "run"):
-            out.add(name, form, columns, units, out.spans(columns, form))
-        out.add(name, "drift", columns, units, out.drifts)
+        out.add_in_time(name, columns, units)
         for form, drift in LAST_MOVE.items():
             course = fit.measured.table.during(name, drift, 0, fit.measured.total)
             if course is not None:
