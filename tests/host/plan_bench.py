@@ -125,6 +125,11 @@ def nearest(a, b):
 BESIDE = {"ur5e": ((1, (0.0, 0.0, 0.138), (-0.425, 0.0, 0.138)), (2, (0.0, 0.0, 0.007), (-0.3922, 0.0, 0.007)))}
 
 
+FLANGE = {
+    "irb120": 0.025
+}  # m, radius in the maker's mesh: the last two of ``arm_points``, 12 mm, are thinner than the links
+
+
 def arm_points(name, q):
     """Return points (n, k, 3) of the upper arm, and from forearm to flange: they must not touch table, posts or bar."""
     frames = joint_frames(known(name).chain, known(name).params, q)

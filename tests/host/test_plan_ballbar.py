@@ -116,7 +116,8 @@ def test_nothing_is_touched_on_the_whole_way(name):
         for chuck in rig.chucks.values():
             foot = np.array([chuck.xyz[0], chuck.xyz[1], 0.0])
             post = bench.along(foot, np.array(chuck.xyz))
-            assert bench.nearest(arm, post).min() > size.link + size.post
+            assert bench.nearest(arm[:, :-2], post).min() > size.link + size.post
+            assert bench.nearest(arm[:, -2:], post).min() > bench.FLANGE.get(name, size.link) + size.post
             if mounted is not None and chuck.name != mounted[0]:
                 vector, _ = bench.bar_of(name, q, mounted)
                 start = np.broadcast_to(rig.chucks[mounted[0]].xyz, vector.shape)
@@ -276,4 +277,5 @@ def test_sixty_poses_of_a_ur5e_predict_a_fifth_of_a_millimetre():
     """Over poses of the region that are not in the plan: candidates are in all orientations of the wrist."""
     plan = truearm.plan_ball_bar(truearm.load_robot("ur5e"), bench.RIGS["ur5e"], poses=60)
     assert plan.forecast.cartesian_rms < 0.20e-3
-    assert plan.route.plan.q[:, 3].std() > 1.4  # rad
+    # Of the candidates, 1.7 % have the wrist turned over. Poses drawn from them at random have 5 such in 0.4 % of draws.
+    assert (plan.route.plan.q[:, 3] < -np.pi / 2.0).sum() >= 5
