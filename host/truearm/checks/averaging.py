@@ -129,21 +129,24 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
 def explanation(weighed: Weighed, weight: float, design: Design, response: Floats, is_named: bool = False) -> Choice:
     """Return what the best candidate does to the parameters by their ``response``; its size is that of the ``design``.
 
-    In directions that the rows do not show, a finding is as large as in those that they do, in which it could be
-    smaller by chance: one typical size is added.
+    In directions that the rows do not show, a finding is as large as in those that they do, beside one typical size. Of
+    so few directions that is Student's t: twice the stated deviation covers as often as that of a normal distribution.
     """
     scale = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
     size, root, hidden = amount_of(weighed, design.variance, scale, is_named)
     if is_named:
-        root = np.column_stack([root, hidden * math.sqrt((1.0 + float(size @ size)) / max(root.shape[1], 1))])
+        freedom = root.shape[1] + 1
+        wider = float(special.stdtrit(freedom, special.ndtr(2.0))) / 2.0
+        root = np.column_stack([root, hidden * wider * math.sqrt((1.0 + float(size @ size)) / freedom)])
     loading = response @ weighed.columns
     return Choice(weighed, weight, size, -loading @ size, loading @ root)
 
 
 def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
-    """Return the finding and its rivals by their probability, beside all other findings, which may have excluded some."""
+    """Return the finding and its rivals by their probability, beside all other findings and but for those that were refused."""
     design = result.bare.extended(result.beside(detection))
-    options = [weigh([weighed.hypothesis], design)[0] for weighed in (detection.best, *detection.rivals)]
+    rivals = (rival for rival in detection.rivals if rival.name not in result.refused)
+    options = [weigh([weighed.hypothesis], design)[0] for weighed in (detection.best, *rivals)]
     threshold = max(weighed.log_evidence for weighed in options) - RIVAL
     options = [weighed for weighed in options if weighed.log_evidence > threshold]
     log = np.array([weighed.log_evidence for weighed in options])
