@@ -1,7 +1,6 @@
 """The recorder's reader keeps up while Python is busy, and the recording continues whatever happens to the live view."""
 
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -10,6 +9,7 @@ import time
 import numpy as np
 import pytest
 from tests.end_to_end.conftest import truearm
+from tests.end_to_end.test_real_time import Simulator
 from tests.wire_frames import data_frame
 
 from truearm.record.links import HostClock, backlog_of
@@ -29,17 +29,9 @@ BUSY_S = 2.0
 @pytest.fixture
 def device(tmp_path):
     """Run a simulated box behind a pseudo-terminal in its own process."""
-    simulate = ("simulate", "--out", str(tmp_path / "sim"), "--robot-port", "0", "--pty")
-    command = [sys.executable, "-u", "-m", "truearm", *simulate]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    for line in process.stdout:
-        if found := re.search(r"truearm record --box (\S+)", line):
-            break
-    assert found, "truearm simulate ended"
-    yield found.group(1)
-    process.terminate()
-    process.wait(timeout=10)
-    process.stdout.close()
+    simulator = Simulator(tmp_path / "sim", "--pty")
+    yield simulator.record[simulator.record.index("--box") + 1]
+    simulator.stop()
 
 
 def test_two_seconds_of_python_lose_nothing(device, tmp_path):

@@ -12,6 +12,7 @@ from truearm_sim import robot
 from truearm_sim.arm import PUMA_ACCELERATION, PUMA_SPEED
 from truearm_sim.clocks import Clock
 from truearm_sim.robot import Controller
+from truearm_sim.world import RobotInput, Setup, World, standard_plan
 
 CLOCKS = st.builds(Clock, st.floats(-1e4, 1e4), st.floats(-500.0, 500.0), st.floats(-1e-3, 1e-3), st.floats(60.0, 1e4))
 
@@ -132,3 +133,25 @@ def test_lines_hold_the_readings():
     assert np.allclose([row["q_cmd"] for row in rows], controller.q_commanded(t), rtol=0, atol=5.1e-10)
     assert np.array_equal(np.diff([row["seq"] for row in rows]), np.ones(749))
     assert json.loads(controller.reading_lines(0.0, 0.1)[1][0])["seq"] == 0
+
+
+def test_without_a_wire_readings_have_no_inputs():
+    world = World(4, standard_plan(9, 4))
+    assert b"inputs" not in world.robot_lines(0, 10**9, lambda t: t > 0)[1][0]
+    assert world.box_config()["trigger_ms"] == [0, 0]
+    wired = World(4, standard_plan(9, 4), setup=Setup(robot_input=RobotInput(0)))
+    assert not np.any(wired.robot_states(0, 10**9).inputs)
+    assert np.all(wired.robot_states(0, 10**9, lambda t: t >= 0).inputs == 1)
+
+
+def test_polarity_and_delays_of_an_input():
+    """High from 1 s to 2 s; an NPN input is on without it. Each edge shows by its own delay later."""
+
+    def output(t):
+        return (t >= 1.0) & (t < 2.0)
+
+    t = np.array([0.99, 1.05, 1.15, 1.99, 2.05, 2.15, 2.25, 2.35])
+    late_off = RobotInput(0, rising_delay_s=0.1, falling_delay_s=0.3)
+    assert late_off.level(output, t).tolist() == [False, False, True, True, True, True, True, False]
+    late_on = RobotInput(0, rising_delay_s=0.3, falling_delay_s=0.1, inverted=True)
+    assert late_on.level(output, t).tolist() == [True, True, True, False, False, True, True, True]
