@@ -42,6 +42,21 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+@pytest.fixture
+def printed(capsys):
+    """Return a function that runs a command, which must succeed, and returns what it prints."""
+    from truearm.cli.main import main
+
+    def call(*arguments):
+        capsys.readouterr()
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        assert code == 0, err
+        return out
+
+    return call
+
+
 def rank(item):
     path = item.nodeid.removeprefix("tests/")
     return next((place for place, name in enumerate(LONG) if path.startswith(name)), len(LONG))

@@ -28,21 +28,18 @@ def device(request):
         yield device
 
 
-def test_info_and_self_test_in_words(device, capsys):
-    assert box("info", "--box", device) == 0
-    said = capsys.readouterr().out
+def test_info_and_self_test_in_words(device, printed):
+    said = printed("box", "info", "--box", device)
     assert f"firmware  {__version__} on vm" in said
     assert (
         "stream adc: 1017.25 samples per second (at most 4069.01 without loss), osr 4096, group delay 0.737 ms" in said
     )
     assert "calibrated to m by 2 coefficients (sim-lvdt 2026-01-01)" in said
-    assert box("test", "--box", device) == 0
-    said = capsys.readouterr().out
+    said = printed("box", "test", "--box", device)
     assert "the converter answers: 0x2402" in said
     assert re.findall(r"\d+", said.splitlines()[0])[:3] == ["8", "0", "0"]
     assert len(said.splitlines()) <= 15
-    assert box("info", "--box", device, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["board"] == "vm"
+    assert json.loads(printed("box", "info", "--box", device, "--json"))["board"] == "vm"
 
 
 def test_a_self_test_that_fails(capsys):
@@ -62,31 +59,29 @@ def test_a_self_test_that_fails(capsys):
         assert codes == {"converter_id": ("fail", "test-converter"), **warned}
 
 
-def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
+def test_configuration_by_file_and_by_value(device, tmp_path, printed):
     path = tmp_path / "box.toml"
     assert box("config", "get", "--box", device, "--out", path) == 0
-    assert box("config", "set", path, "--box", device) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == f"{device}: nothing changes"
-    assert box("config", "set", "osr=2048", "channel.lvdt.gain=2", "--box", device, "--dry-run") == 0
-    assert capsys.readouterr().out.splitlines() == [
+    assert printed("box", "config", "set", path, "--box", device).splitlines()[-1] == f"{device}: nothing changes"
+    assert printed(
+        "box", "config", "set", "osr=2048", "channel.lvdt.gain=2", "--box", device, "--dry-run"
+    ).splitlines() == [
         "osr: 4096 → 2048",
         "channel.lvdt.gain: (none) → 2",
         f"{device}: unchanged (--dry-run)",
     ]
     path.write_text(path.read_text().replace("osr = 4096", "osr = 2048"))
-    assert box("config", "set", path, "channel.lvdt.gain=2", "--box", device) == 0
-    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{device}: stored")
-    assert box("config", "get", "--box", device) == 0
-    assert "osr = 2048  # 2034.51 samples per second" in capsys.readouterr().out
-    assert box("config", "set", "trigger_ms=[50,150]", "--box", device) == 0
-    assert "trigger_ms: [0, 0] → [50, 150]" in capsys.readouterr().out
-    assert box("config", "set", "channel.lvdt.gain=", "--box", device) == 0
-    assert "channel.lvdt.gain: 2 → (none)" in capsys.readouterr().out
-    assert box("config", "set", "osr=4096", "--box", device, "--dry-run", "--json") == 0
-    said = json.loads(capsys.readouterr().out)
+    assert (
+        printed("box", "config", "set", path, "channel.lvdt.gain=2", "--box", device)
+        .splitlines()[-1]
+        .startswith(f"{device}: stored")
+    )
+    assert "osr = 2048  # 2034.51 samples per second" in printed("box", "config", "get", "--box", device)
+    assert "trigger_ms: [0, 0] → [50, 150]" in printed("box", "config", "set", "trigger_ms=[50,150]", "--box", device)
+    assert "channel.lvdt.gain: 2 → (none)" in printed("box", "config", "set", "channel.lvdt.gain=", "--box", device)
+    said = json.loads(printed("box", "config", "set", "osr=4096", "--box", device, "--dry-run", "--json"))
     assert (said["changes"], said["stored"], said["config"]["osr"]) == (["osr: 2048 → 4096"], False, 4096)
-    assert box("config", "get", "--box", device, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["osr"] == 2048
+    assert json.loads(printed("box", "config", "get", "--box", device, "--json"))["osr"] == 2048
 
 
 def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
@@ -132,11 +127,10 @@ def test_a_box_that_streams_is_left_alone_until_stop(capsys):
         assert box("config", "get", "--box", device) == 0
 
 
-def test_a_restart_forgets_the_traceback(capsys):
+def test_a_restart_forgets_the_traceback(printed):
     with served() as (device, _, shown):
         (shown.flash / "last_error.txt").write_text("Traceback:\n  somewhere\nMemoryError: no room")
-        assert box("info", "--box", device) == 0
-        assert "  MemoryError: no room" in capsys.readouterr().out
+        assert "  MemoryError: no room" in printed("box", "info", "--box", device)
         assert box("reset", "--box", device) == 0
         with conversation(device, retries=20) as talk:
             assert "last_error" not in talk.identify().document
@@ -151,18 +145,16 @@ class Port:
         self.serial_number, self.description = "e661", "n/a"
 
 
-def test_boxes_are_listed_by_their_usb_identity(monkeypatch, capsys):
+def test_boxes_are_listed_by_their_usb_identity(monkeypatch, printed):
     with served(pty=True) as (device, _, _):
         found = [Port("/dev/ttyS0", None, None, None), Port("/dev/ttyUSB0", 0x0403, 0x6001, "FT232R"), Port(device)]
         monkeypatch.setattr(ports.list_ports, "comports", lambda: found)
-        assert box("list") == 0
-        (line,) = capsys.readouterr().out.splitlines()  # a stranger's serial port is not even opened
+        (line,) = printed("box", "list").splitlines()  # a stranger's serial port is not even opened
         assert re.fullmatch(
             rf"{device} \(2e8a:0005 Board in FS mode\): truearm box \w+, firmware {re.escape(__version__)} on vm", line
         )
         monkeypatch.setattr(ports.list_ports, "comports", lambda: [Port(device), Port("/dev/gone")])
-        assert box("list", "--json") == 0
-        rows = json.loads(capsys.readouterr().out)["ports"]
+        rows = json.loads(printed("box", "list", "--json"))["ports"]
         gone, there = sorted(rows, key=lambda row: row["device"] == device)
         assert (gone["device"], there["device"]) == ("/dev/gone", device)
         assert there["box"]["firmware"] == __version__
@@ -170,9 +162,8 @@ def test_boxes_are_listed_by_their_usb_identity(monkeypatch, capsys):
         assert "not found" in gone["answer"]
 
 
-def test_nothing_to_list(no_ports, capsys):
-    assert box("list") == 0
-    assert "no box was found" in capsys.readouterr().out
+def test_nothing_to_list(no_ports, printed):
+    assert "no box was found" in printed("box", "list")
 
 
 # --- monitor

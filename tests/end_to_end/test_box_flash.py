@@ -8,13 +8,12 @@ from truearm import __version__
 from truearm.box.boot_drive import find_drives
 
 
-def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
+def test_a_running_box_is_flashed(tmp_path, no_ports, printed):
     """The box shows its drive, the image is written, and the box answers after another boot."""
     path, drive = tmp_path / "box.uf2", tmp_path / "media" / "RPI-RP2"
     path.write_bytes(image())
     with served(drive=drive) as (device, _, shown):
-        assert box("flash", path, "--box", device, "--drive", drive) == 0
-        said = capsys.readouterr().out
+        said = printed("box", "flash", path, "--box", device, "--drive", drive)
         assert shown.written == image()
     assert "RP2040, 1 KiB in 4 blocks: the box's" in said
     assert "it enters its boot loader" in said
@@ -22,12 +21,11 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
 
 
 @pytest.mark.parametrize("version", [__version__, "0.10.0"])
-def test_the_firmware_that_answers_is_compared_with_the_images(tmp_path, no_ports, capsys, version):
+def test_the_firmware_that_answers_is_compared_with_the_images(tmp_path, no_ports, printed, version):
     path, drive = tmp_path / "box.uf2", tmp_path / "RPI-RP2"
     path.write_bytes(image(mark=f"truearm_box {version}".encode()))
     with served(drive=drive) as (device, _, _):
-        assert box("flash", path, "--box", device, "--drive", drive) == 0
-        said = capsys.readouterr().out
+        said = printed("box", "flash", path, "--box", device, "--drive", drive)
     assert f" firmware {version}\n" in said
     # The box that comes up is the simulated one, whatever was written.
     assert (f"{version}, but " in said) == (version != __version__)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truearm.cli.main import main
 from truearm.model.chain import forward
 from truearm.model.poses import position_and_rotation
 from truearm.model.robot_file import RobotChoice
@@ -44,22 +43,18 @@ def write_targets(path, poses, q):
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", [1, 2])
-def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monkeypatch, capsys):
+def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monkeypatch, capsys, printed):
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments):
-        assert main([str(argument) for argument in arguments]) == 0
-        return capsys.readouterr().out
-
     fast, known = ["simulate", "--fast", "--model", "ur5e"], ["--model", "ur5e"]
-    run(*fast, "--poses", 9, "--out", "rehearsal")
+    printed(*fast, "--poses", 9, "--out", "rehearsal")
     rig = Path("rig.toml")
     rig.write_text(Path("rehearsal/rig.toml").read_text().replace("8.4e-05", "3e-05"))
     for out, poses, draw in (("plan.csv", POSES, 0), ("check.csv", 60, 5)):
         budget = ["--poses", poses, "--candidates", 6000, "--seed", draw]
-        run("plan", "ballbar", *known, "--rig", rig, *budget, "--joint-laws", "--out", out)
-    run(*fast, *LAWS, "--plan", "plan.csv", "--rig", rig, "--out", "first", "--seed", seed)
-    run(*fast, *LAWS, "--plan", "check.csv", "--rig", rig, "--out", "second", "--seed", 9, "--truth-seed", seed)
+        printed("plan", "ballbar", *known, "--rig", rig, *budget, "--joint-laws", "--out", out)
+    printed(*fast, *LAWS, "--plan", "plan.csv", "--rig", rig, "--out", "first", "--seed", seed)
+    printed(*fast, *LAWS, "--plan", "check.csv", "--rig", rig, "--out", "second", "--seed", 9, "--truth-seed", seed)
 
     chain, true_end = true_poses(seed)
     plan, rng = read_plan(Path("plan.csv")), np.random.default_rng(7)
@@ -71,7 +66,7 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
     def corrected(result, *method):
         """Return errors of the true tool [mm] and their expected values, k = 1 [mm]."""
         document = json.loads(
-            run("correct", result, "targets.csv", *method, "--out", "corrected.csv", "--force", "--json")
+            printed("correct", result, "targets.csv", *method, "--out", "corrected.csv", "--force", "--json")
         )
         with open("corrected.csv", encoding="utf-8") as file:
             rows = [[float(row[f"q{k}_deg"]) for k in range(1, 7)] for row in csv.DictReader(file)]
@@ -79,8 +74,8 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
         expected = [target["expected_mm"] / 2.0 for target in document["targets"]]
         return 1e3 * np.linalg.norm(error, axis=1), np.array(expected)
 
-    run("identify", "first/session.mcap", *known, "--joint-laws", "none", "--out", "geometry.json")
-    run("identify", "first/session.mcap", *known, "--joint-laws", "auto", "--out", "laws.json")
+    printed("identify", "first/session.mcap", *known, "--joint-laws", "none", "--out", "geometry.json")
+    printed("identify", "first/session.mcap", *known, "--joint-laws", "auto", "--out", "laws.json")
     geometry, _ = corrected("geometry.json")
     for method in ([], ["--method", "false-target", "--steps", 4], ["--method", "joints", "--steps", 4]):
         error, expected = corrected("laws.json", *method)
@@ -92,12 +87,12 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
         assert (error <= 2.0 * expected).mean() >= 0.85
     assert geometry.mean() >= 0.3
     verdicts = [
-        json.loads(run("validate", result, "second/session.mcap", "--json"))
+        json.loads(printed("validate", result, "second/session.mcap", "--json"))
         for result in ("geometry.json", "laws.json")
     ]
     assert verdicts[1]["rms_after_mm"] < 0.5 * verdicts[0]["rms_after_mm"]
-    run("map", "laws.json", "--picture-out", "map.svg")
+    printed("map", "laws.json", "--picture-out", "map.svg")
     outputs = ("--out", "laws.yaml", "--curves-out", "curves.csv")
-    run("export", "laws.json", "--format", "ur", "--over", "check.csv", *outputs)
+    printed("export", "laws.json", "--format", "ur", "--over", "check.csv", *outputs)
     with open("curves.csv", encoding="utf-8") as file:
         assert {row["simulated"] for row in csv.DictReader(file)} == {"yes"}

@@ -16,7 +16,6 @@ from tests.host.correct_bench import visited
 from tests.host.findings_bench import listed
 from tests.host.target_bench import driven, miss, rapid, script, table
 
-from truearm.cli.main import main
 from truearm.correct.target_table import parse_targets
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
@@ -39,8 +38,8 @@ MORE = ("--rig", "rig.toml")
 class Walk:
     """A robot that errs as a small arm does, 1 mm and 4 mrad in each free parameter, and a folder in which commands are run."""
 
-    def __init__(self, name, folder, capsys):
-        self.name, self.folder, self.capsys, robot = name, folder, capsys, builtin_robot(name)
+    def __init__(self, name, folder, printed):
+        self.name, self.folder, self.typed, robot = name, folder, printed, builtin_robot(name)
         self.chain, self.nominal = robot.chain, robot.chain.params_nominal
         sigma = np.array([{"m": 1e-3, "rad": 4e-3, "1": 0.0}[p.unit] for p in robot.chain.parameters]) * robot.free
         self.truth = self.nominal + sigma * np.random.default_rng(3).standard_normal(sigma.size)
@@ -59,10 +58,6 @@ class Walk:
         """Where the true robot stands."""
         return forward(self.chain, self.truth, q)
 
-    def typed(self, *arguments):
-        assert main(list(map(str, arguments))) == 0
-        return self.capsys.readouterr().out
-
     def measured(self, plan, seed):
         """Observations at a plan's poses."""
         visits = read_plan(self.folder / plan)
@@ -75,9 +70,9 @@ class Walk:
 
 
 @pytest.fixture(params=["irb120", pytest.param("ur5e", marks=pytest.mark.soak)])
-def walk(request, tmp_path, monkeypatch, capsys):
+def walk(request, tmp_path, monkeypatch, printed):
     monkeypatch.chdir(tmp_path)
-    return Walk(request.param, tmp_path, capsys)
+    return Walk(request.param, tmp_path, printed)
 
 
 def plan(walk, out, bar, *more):
@@ -104,12 +99,10 @@ def test_from_a_plan_to_a_corrected_program(walk):
     )
     assert result["n_observations"] == 100
     assert result["status"] == "converged"
-    walk.capsys.readouterr()
     with noise_alone():
-        assert main(["identify", few, more, "--model", walk.name, *MORE, "--json"]) == 0
+        by_noise = json.loads(walk.typed("identify", few, more, "--model", walk.name, *MORE, "--json"))
     forecast = {p["name"]: p["sigma"] for p in told["parameters"]}
-    parameters = json.loads(walk.capsys.readouterr().out)["parameters"]
-    ratio = [p["sigma"] / forecast[p["name"]] for p in parameters if p["free"]]
+    ratio = [p["sigma"] / forecast[p["name"]] for p in by_noise["parameters"] if p["free"]]
     assert len(ratio) == told["rank"] == result["rank"]
     assert np.abs(np.array(ratio) - 1.0).max() < 0.1
     judged(walk, other)

@@ -89,14 +89,10 @@ def walk(folder, said, session):
     assert low < with_noise["chi2_reduced"] < min(high, without["chi2_reduced"])
 
 
-def test_a_worn_arm_from_a_plan_to_a_calibration_that_knows_its_noise(tmp_path, capsys, virtual_time):
-    def said(*arguments):
-        assert main(list(map(str, arguments))) == 0
-        return capsys.readouterr().out
-
+def test_a_worn_arm_from_a_plan_to_a_calibration_that_knows_its_noise(tmp_path, printed, virtual_time):
     def session(name, *options):
         virtual_time.folder = tmp_path / name
-        said("simulate", "--out", tmp_path / name, "--port", 0, "--robot-port", 0, *options)
+        printed("simulate", "--out", tmp_path / name, "--port", 0, "--robot-port", 0, *options)
         return tmp_path / name / "session.mcap"
 
-    walk(tmp_path, said, session)
+    walk(tmp_path, printed, session)

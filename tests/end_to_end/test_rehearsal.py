@@ -43,28 +43,24 @@ def test_a_pose_in_a_pocket_is_left_over_several_via_points(tmp_path, monkeypatc
 @pytest.mark.parametrize(
     "arm", [pytest.param(*getattr(v, "values", (v,)), marks=getattr(v, "marks", ()), id=k) for k, v in ARMS.items()]
 )
-def test_an_arm_is_rehearsed_by_commands_alone(arm, tmp_path, monkeypatch, capsys):
+def test_an_arm_is_rehearsed_by_commands_alone(arm, tmp_path, monkeypatch, printed):
     model, branch, (poses, check, candidates) = arm
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments):
-        assert main([str(argument) for argument in arguments]) == 0
-        return capsys.readouterr().out
-
-    run("init", "cell", "--model", *model, *branch, "--minutes", 0)
+    printed("init", "cell", "--model", *model, *branch, "--minutes", 0)
     monkeypatch.chdir(tmp_path / "cell")
     for out, n, seed in (("plan.csv", poses, 0), ("check.csv", check, 5)):
         budget = ["--poses", n, "--candidates", candidates, "--seed", seed]
-        run("plan", "ballbar", *budget, "--out", out)
+        printed("plan", "ballbar", *budget, "--out", out)
     begun = cpu_s()
-    run("simulate", "--fast", "--out", "first", "--truth-out", "truth.json", "--seed", 1)
-    run("simulate", "--fast", "--plan", "check.csv", "--out", "second", "--seed", 2, "--truth-seed", 1)
-    confirmed = json.loads(run("inspect", "first/session.mcap", "--json"))["events"].get("mounted", 0)
-    run("identify", "first/session.mcap", "--out", "result.json")
+    printed("simulate", "--fast", "--out", "first", "--truth-out", "truth.json", "--seed", 1)
+    printed("simulate", "--fast", "--plan", "check.csv", "--out", "second", "--seed", 2, "--truth-seed", 1)
+    confirmed = json.loads(printed("inspect", "first/session.mcap", "--json"))["events"].get("mounted", 0)
+    printed("identify", "first/session.mcap", "--out", "result.json")
     Path("targets.csv").write_text("name,x_mm,y_mm,z_mm\na,400,50,350\n")
     home = ",".join(f"{angle:.1f}" for angle in np.rad2deg(read_plan(Path("plan.csv")).q[0]))
-    run("correct", "result.json", "targets.csv", f"--home={home}", "--out", "corrected.csv")
-    verdict = json.loads(run("validate", "result.json", "second/session.mcap", "--json"))
+    printed("correct", "result.json", "targets.csv", f"--home={home}", "--out", "corrected.csv")
+    verdict = json.loads(printed("validate", "result.json", "second/session.mcap", "--json"))
     spent = cpu_s() - begun
 
     plan = read_plan(Path("plan.csv"))

@@ -35,13 +35,8 @@ def found(short_session, tmp_path_factory):
 
 
 @pytest.fixture
-def judged(capsys):
-    def call(result, *sessions):
-        capsys.readouterr()
-        assert main(["validate", str(result), *map(str, sessions), "--json"]) == 0
-        return json.loads(capsys.readouterr().out)
-
-    return call
+def judged(printed):
+    return lambda result, *sessions: json.loads(printed("validate", result, *sessions, "--json"))
 
 
 def test_a_calibration_by_the_ball_bar_holds_on_lines(found, judged):

@@ -24,12 +24,11 @@ def result(tmp_path_factory):
     return correct_bench.write(tmp_path_factory.mktemp("export") / "result.json", correct_bench.identified())
 
 
-def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
+def test_only_what_the_user_may_adjust_changes(result, tmp_path, printed):
     """Renders' III-F: a controller that takes offsets and lengths alone."""
     out = tmp_path / "adjusted.toml"
     patterns = ("--adjust", "joint*.offset", "--adjust", "*.x,*.y,*.z")
-    code, said, _ = run("export", result, "--format", "sheth-uicker", "--out", out, *patterns, "--json")
-    assert code == 0
+    said = printed("export", result, "--format", "sheth-uicker", "--out", out, *patterns, "--json")
     assert listed(json.loads(said))["exported"]["dropped"]["mm"] > 1.0
     chain = load_robot(str(out)).chain
     gains = [value for name, value in zip(chain.parameter_names, chain.params_nominal, strict=True) if "gain" in name]
@@ -42,16 +41,14 @@ def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(before**2))
 
 
-def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
+def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, printed):
     """The arm of tests/data/mukca: three places identify it; the exported URDF, as it stands, predicts the other three as well."""
     held = [a for place in ("frontcenter", "frontleft", "frontright") for a in ("--hold-out", f"place={place}")]
     urdf, table, rig = MUKCA / "panda.urdf", MUKCA / "panda_3.csv", MUKCA / "rig.toml"
     result, out = tmp_path / "r.json", tmp_path / "calibrated.urdf"
     known = ["--model", urdf, "--tip", "ball_link", "--rig", rig, "--joint-laws", "none"]  # a URDF holds no laws
-    code, _, err = run("identify", table, *known, "--out", result, *held)
-    assert code == 0, err
-    code, said, err = run("export", result, "--format", "urdf", "--model", urdf, "--out", out)
-    assert code == 0, err
+    printed("identify", table, *known, "--out", result, *held)
+    said = printed("export", result, "--format", "urdf", "--model", urdf, "--out", out)
     assert "holds everything" in said
     stored = read_result(result)
     chain = load_robot(str(out), None, "ball_link").chain

@@ -34,12 +34,11 @@ def folder(tmp_path_factory):
     return out
 
 
-def test_plan_measure_identify_plan_again(folder, capsys):
+def test_plan_measure_identify_plan_again(folder, printed):
     """The documented path: 36 poses on the design, identified; the second plan on the better model counts them."""
     rig = str(folder / "rig.toml")
     plan, script = folder / "plan.csv", folder / "plan.script"
-    assert main(["plan", "ballbar", *COMMON, "--rig", rig, "--out", str(plan), "--program-out", str(script)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed("plan", "ballbar", *COMMON, "--rig", rig, "--out", plan, "--program-out", script).splitlines()
     assert lines[0].startswith("36 poses in ")
     assert len(lines) <= 15
     assert lines[-2:] == [f"Written: {plan}", f"Written: {script}"]
@@ -58,8 +57,7 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     write_result(folder / "result.json", result_of(found, table, frames))
 
     more = ("--result", str(folder / "result.json"), "--measured", str(folder / "measured.csv"), "--json")
-    assert main(["plan", "ballbar", *COMMON, "--rig", rig, *more]) == 0
-    again = json.loads(capsys.readouterr().out)
+    again = json.loads(printed("plan", "ballbar", *COMMON, "--rig", rig, *more))
     assert again["rows"] == 72
     assert again["rank"] == 30
     first = dict(zip(found.parameter_names, found.sigma, strict=True))
@@ -70,12 +68,11 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     cause = Rival("base.drift", "base.drift", None, 1.0, 1e-4, 1e-4, 0.1, 2.0)
     fault = Diagnosis((cause, cause), cause, (), (), 30.0, 2, 9.0, (f"chuck {chuck}", f"sphere {sphere}"))
     write_result(folder / "result.json", result_of(replace(found, faults=(fault,)), table, frames))
-    assert main(["plan", "ballbar", *COMMON, "--rig", rig, *more]) == 0
-    pairings = json.loads(capsys.readouterr().out)["pairings"]
+    pairings = json.loads(printed("plan", "ballbar", *COMMON, "--rig", rig, *more))["pairings"]
     assert {(mount["chuck"], mount["sphere"]) for mount in pairings if mount["poses"]} == {(chuck, sphere)}
 
 
-def test_a_urdf_with_several_ends(folder, capsys):
+def test_a_urdf_with_several_ends(folder, capsys, printed):
     """As makers' files have them: the end is chosen, or is that of the result. What is predicted, identify then says."""
     chain = bench.known("irb120").chain
     text = new_urdf(link_frames(chain, chain.params_nominal, chain.params_nominal))
@@ -89,29 +86,29 @@ def test_a_urdf_with_several_ends(folder, capsys):
     given = ("plan", "ballbar", "--model", str(urdf), *COMMON[2:], "--rig", rig, f"--branch={branch}", "--json")
     assert main([*given]) == 2
     assert "choose --tip among camera, plate" in capsys.readouterr().err
-    assert main([*given, "--tip", "tool0", "--out", str(folder / "arm.csv")]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(printed(*given, "--tip", "tool0", "--out", folder / "arm.csv"))
     visits = read_plan(folder / "arm.csv")
     write_table(folder / "arm_rows.csv", bar_table(bench.known("irb120"), visits.select(visits.dwells)), ("rad",) * 6)
     result = str(folder / "arm.json")
     rows = ("identify", str(folder / "arm_rows.csv"), "--model", str(urdf), "--tip", "tool0", "--rig", rig)
-    assert main([*rows, "--out", result, "--json"]) == 0
-    found = {p["name"]: p["sigma"] or np.nan for p in json.loads(capsys.readouterr().out)["parameters"] if p["free"]}
+    found = {
+        p["name"]: p["sigma"] or np.nan
+        for p in json.loads(printed(*rows, "--out", result, "--json"))["parameters"]
+        if p["free"]
+    }
     assert found == pytest.approx({p["name"]: p["sigma"] or np.nan for p in told["parameters"]}, rel=1e-3, nan_ok=True)
     more = ("--result", result, "--measured", str(folder / "arm_rows.csv"))
-    assert main([*given, *more]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"] == 72
+    assert json.loads(printed(*given, *more))["rows"] == 72
 
 
 LINES = ("--model", "irb120", "--lines", "2", "--candidates", "6", "--length-mm", "200", "--seed", "3")
 
 
-def test_lines_are_planned(folder, capsys):
+def test_lines_are_planned(folder, printed):
     """The plan file is for record, the rig with the lines for record and identify, the program drives what the plan says."""
     out, rig, script = (folder / name for name in ("lines.csv", "lines.toml", "lines.script"))
     written = ("--out", str(out), "--rig-out", str(rig), "--program-out", str(script))
-    assert main(["plan", "line", *LINES, "--rig", str(folder / "rig.toml"), *written, "--json"]) == 0
-    findings = listed(json.loads(capsys.readouterr().out))
+    findings = listed(json.loads(printed("plan", "line", *LINES, "--rig", folder / "rig.toml", *written, "--json")))
     assert next(iter(findings)) == "planned"
     assert (findings["planned"]["lines"], findings["planned"]["minutes"]) == (2, 6)
     assert {f"base.{k}" for k in "xyz"} <= set(findings["held-frames"]["base"])  # the lines' places move with the base
@@ -123,10 +120,9 @@ def test_lines_are_planned(folder, capsys):
     check_against_rig(visits, around, str(out))
 
 
-def test_lines_with_a_delay_that_is_not_known(folder, capsys):
+def test_lines_with_a_delay_that_is_not_known(folder, printed):
     write_rig(folder / "delay.toml", replace(bench.RIGS["irb120"], time_offset_sigma=None))
-    assert main(["plan", "line", *LINES, "--rig", str(folder / "delay.toml"), "--details"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed("plan", "line", *LINES, "--rig", folder / "delay.toml", "--details").splitlines()
     (row,) = [line for line in lines if line.startswith("time_offset ")]
     assert row.split()[-1] == "ms"
 
@@ -158,22 +154,21 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, of, chan
     assert (folder / "rig.toml").read_bytes() == before
 
 
-def test_check_poses_that_are_not_planned_are_named(folder, capsys):
-    assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "rig.toml"), "--check-poses", "7", "--json"]) == 0
-    findings = listed(json.loads(capsys.readouterr().out))
+def test_check_poses_that_are_not_planned_are_named(folder, printed):
+    findings = listed(
+        json.loads(printed("plan", "ballbar", *COMMON, "--rig", folder / "rig.toml", "--check-poses", "7", "--json"))
+    )
     assert findings["fewer-checks"] == {"asked": 7, "planned": 0, "visits": False}
     assert not findings["planned"]["checks"]
 
 
-def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
+def test_too_few_poses_are_told_in_a_few_words(folder, printed):
     few = [text.replace("36", "12") for text in COMMON]
     command = ["plan", "ballbar", *few, "--rig", str(folder / "rig.toml")]
-    assert main([*command, "--json"]) == 0
-    findings = listed(json.loads(capsys.readouterr().out))
+    findings = listed(json.loads(printed(*command, "--json")))
     assert findings["few-poses"] == {"n": 12}
     assert findings["planned-rank"]["unseen"] == 30 - 12
-    assert main([*command, "--details"]) == 0
-    unseen = [line for line in capsys.readouterr().out.splitlines() if line.startswith("unidentifiable: ")]
+    unseen = [line for line in printed(*command, "--details").splitlines() if line.startswith("unidentifiable: ")]
     assert len(unseen) == 30 - 12
     assert all(len(re.findall(r"\d\.\d\d \w", line)) <= 4 for line in unseen)
 

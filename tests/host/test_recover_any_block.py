@@ -140,16 +140,14 @@ def test_a_damaged_summary(recording, tmp_path, capsys):
     assert recovered == recorded_messages(path)
 
 
-def test_a_session_without_copies(tmp_path, capsys, monkeypatch):
+def test_a_session_without_copies(tmp_path, printed, monkeypatch):
     """Sessions of earlier versions have none: the messages are saved, but nothing says what their samples mean."""
     monkeypatch.setattr(SessionWriter, "_copy_head", lambda self, attached: None)
     path = tmp_path / "session.mcap"
     zeroed(recorded(path, 5.0), 8, 4096, path)
     monkeypatch.undo()
-    assert main(["session", "recover", str(path), "--json"]) == 0
-    assert '"samples": 0' in capsys.readouterr().out
-    assert main(["session", "recover", str(path), "--force"]) == 0
-    text = capsys.readouterr().out
+    assert '"samples": 0' in printed("session", "recover", path, "--json")
+    text = printed("session", "recover", path, "--force")
     assert "every command reads it" not in text
     assert "no sample in it can be used" in text
 

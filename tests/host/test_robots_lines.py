@@ -318,7 +318,7 @@ class TestUdp:
         assert link.backlog.foreign == 5  # of the first link
         link.close()
 
-    def test_a_recording_counts_other_senders_and_notes_the_change(self, free, tmp_path, monkeypatch, capsys):
+    def test_a_recording_counts_other_senders_and_notes_the_change(self, free, tmp_path, monkeypatch, capsys, printed):
         monkeypatch.setattr("truearm.record.robots.text_lines.SILENCE_S", 0.2)
         stop = threading.Event()
 
@@ -352,8 +352,7 @@ class TestUdp:
         assert q[-1] == [0.7]
         foreign = open_session(out).metadata["session-end"]["robot_foreign"]
         assert int(foreign) >= 20
-        assert main(["inspect", str(out), "--json"]) == 0
-        assert listed(json.loads(capsys.readouterr().out))["foreign-datagrams"] == {"n": int(foreign)}
+        assert listed(json.loads(printed("inspect", out, "--json")))["foreign-datagrams"] == {"n": int(foreign)}
 
     def test_a_port_that_is_taken(self, free):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:

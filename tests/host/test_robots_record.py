@@ -17,18 +17,16 @@ def rows_of(path):
     return [json.loads(message.data) for message in open_session(path).messages({"/robot/joints"})]
 
 
-def recorded(tmp_path, capsys, talk, address):
+def recorded(tmp_path, printed, talk, address):
     """Return the session of a robot that talks and then closes its stream, and inspect's account of the robot."""
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device), closing(Peer(talk)) as robot:
         source = ["--address", address.format(robot.address), "--patience-s", "0"]
-        assert main(["record", "--box", device, *source, "--out", str(out)]) == 0
-    capsys.readouterr()
-    assert main(["inspect", str(out), "--json"]) == 0
-    return out, json.loads(capsys.readouterr().out)["robot"]
+        printed("record", "--box", device, *source, "--out", out)
+    return out, json.loads(printed("inspect", out, "--json"))["robot"]
 
 
-def test_csv_in_degrees(tmp_path, capsys):
+def test_csv_in_degrees(tmp_path, printed):
     """A robot that was running before us: half a line, then rows; its columns stand in the address."""
 
     def robot(peer):
@@ -38,7 +36,7 @@ def test_csv_in_degrees(tmp_path, capsys):
             time.sleep(0.008)
 
     columns = "t_ms,seq,q1_deg,q2_deg,q1_cmd_deg,q2_cmd_deg"
-    out, said = recorded(tmp_path, capsys, robot, "lines+tcp://{}?columns=" + columns)
+    out, said = recorded(tmp_path, printed, robot, "lines+tcp://{}?columns=" + columns)
     rows = rows_of(out)
     assert np.allclose(np.rad2deg([row["q"] for row in rows])[:, 0], 10.0 + 0.01 * np.arange(150), atol=1e-12)
     assert np.allclose([row["q_cmd"] for row in rows], np.deg2rad([10.5, 20.5]), atol=1e-15)

@@ -31,29 +31,24 @@ def folder(tmp_path_factory):
     return folder
 
 
-def run(capsys, *words):
-    assert main([*map(str, words)]) == 0, capsys.readouterr().err
-    return capsys.readouterr().out
-
-
-def test_result_and_its_pages(folder, tmp_path, capsys):
+def test_result_and_its_pages(folder, tmp_path, printed):
     assert json.loads((folder / "result.json").read_text())["simulated"] is True
-    run(capsys, "report", folder / "result.json", SESSION, "--out", tmp_path / "page.html")
+    printed("report", folder / "result.json", SESSION, "--out", tmp_path / "page.html")
     assert "Certificate of a simulated calibration" in (tmp_path / "page.html").read_text()
     for page in (folder / "fit.html", tmp_path / "page.html"):
         assert WATERMARK in page.read_text()
-    assert "SIMULATED" in run(capsys, "validate", folder / "result.json", SESSION)
+    assert "SIMULATED" in printed("validate", folder / "result.json", SESSION)
 
 
-def test_correction(folder, tmp_path, capsys):
+def test_correction(folder, tmp_path, printed):
     targets, page = tmp_path / "targets.csv", tmp_path / "page.html"
     targets.write_text("name,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\na,500,150,300,170,5,10\n")
     more = ("--allow-unusable", "--home", "20,-30,150,0,20,0", "--out", tmp_path / "c.csv", "--report", page)
-    assert "SIMULATED" in run(capsys, "correct", folder / "result.json", targets, *more)
+    assert "SIMULATED" in printed("correct", folder / "result.json", targets, *more)
     assert WATERMARK in page.read_text()
     assert [row["simulated"] for row in csv.DictReader((tmp_path / "c.csv").open())] == ["yes"]
     again = ("--allow-unusable", "--out", tmp_path / "again.csv")  # the table has the joints
-    assert "SIMULATED" in run(capsys, "correct", folder / "result.json", tmp_path / "c.csv", *again)
+    assert "SIMULATED" in printed("correct", folder / "result.json", tmp_path / "c.csv", *again)
 
 
 PROGRAMS = {
@@ -67,30 +62,30 @@ PROGRAMS = {
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_corrected_program(folder, tmp_path, capsys, name):
+def test_corrected_program(folder, tmp_path, printed, name):
     """Its last line is a comment; further lines have their numbers."""
     program, sign = PROGRAMS[name]
     (tmp_path / name).write_text(program)
     poses = ("--work=0,0,0,0,0,0", "--flange=0,0,0,0,0,0", *["--tool=0,0,0,0,0,0"] * (sign == "#"))
     more = ("--allow-unusable", "--home", "20,-30,150,0,20,0", *poses, "--out", tmp_path / f"c{name}")
-    run(capsys, "correct", folder / "result.json", tmp_path / name, *more)
+    printed("correct", folder / "result.json", tmp_path / name, *more)
     *lines, last = (tmp_path / f"c{name}").read_text().splitlines()
     assert len(lines) == len(program.splitlines())
     assert last.startswith(f"{sign} truearm: SIMULATED")
 
 
-def test_session(capsys):
-    assert "SIMULATED" in run(capsys, "inspect", SESSION)
-    assert json.loads(run(capsys, "inspect", SESSION, "--json"))["simulated"] is True
+def test_session(printed):
+    assert "SIMULATED" in printed("inspect", SESSION)
+    assert json.loads(printed("inspect", SESSION, "--json"))["simulated"] is True
 
 
-def test_map_and_exported_robot(folder, tmp_path, capsys):
+def test_map_and_exported_robot(folder, tmp_path, printed):
     files = ("--allow-unusable", "--cell-mm", 200, "--picture-out", tmp_path / "map.svg", "--out", tmp_path / "map.csv")
-    assert "SIMULATED" in run(capsys, "map", folder / "result.json", *files)
+    assert "SIMULATED" in printed("map", folder / "result.json", *files)
     assert "Simulated" in (tmp_path / "map.svg").read_text()
     assert {row["simulated"] for row in csv.DictReader((tmp_path / "map.csv").open())} == {"yes"}
     files = ("--allow-unusable", "--format", "sheth-uicker", "--out", tmp_path / "robot.toml")
-    assert "SIMULATED" in run(capsys, "export", folder / "result.json", *files)
+    assert "SIMULATED" in printed("export", folder / "result.json", *files)
     assert "# SIMULATED" in (tmp_path / "robot.toml").read_text()
 
 
