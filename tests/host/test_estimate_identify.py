@@ -20,6 +20,7 @@ from puma_bench import (
 )
 from puma_bench import table as ball_bar_table
 
+from truearm.estimate import fit as fit_module
 from truearm.estimate import problem as problem_module
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.identify import SolverOptions, identify
@@ -149,6 +150,17 @@ def test_the_result_is_complete():
     assert heard == list(zip(range(1, e.iterations + 1), e.rms_history["m"][1:], strict=True))
     assert e.rms_history["m"][0] == e.rms_raw["m"] >= e.rms_before["m"]
     assert e.rms_history["m"][-1] == e.rms_after["m"]
+
+
+def test_a_sphere_of_few_rows_is_placed_where_many_rows_are_thinned(monkeypatch):
+    """Three lengths determine it, but are not among every other row, by which the nominal robot is placed first."""
+    rare, rng = np.isin(np.arange(120), [7, 9, 11]), np.random.default_rng(31)
+    q, pairs = random_poses(120, rng), [(f"c{i % 3}", "s1" if rare[i] else "s2") for i in range(120)]
+    t = ball_bar_table(q, lengths(TRUTH, q, pairs) + SIGMA * rng.normal(size=120), pairs)
+    s1 = replace(SPHERES["s1"], xyz=tuple(np.array(SPHERES["s1"].xyz) + 3e-3), sigma=None)
+    monkeypatch.setattr(fit_module, "MANY", 60)
+    before = identify(CHAIN, Rig(CHUCKS, {**SPHERES, "s1": s1}, BARS), t, free=FREE).residual_before["m"]
+    assert np.abs(before[rare]).max() < 1e-4 < np.abs(before[~rare]).max()
 
 
 def test_before_is_the_robot_as_described_with_the_rig_fitted_to_it():

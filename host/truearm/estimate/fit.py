@@ -40,8 +40,8 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
     stride = sum(len(group.sensor_cov) for group in problem.groups) // MANY
     if stride > 1 and columns.any():
         thinned = (group if group.row is None else group.take(slice(None, None, stride)) for group in problem.groups)
-        x = fit(replace(problem, groups=tuple(thinned)), columns, x, options._replace(on_step=None)).x
-        if options.ends is not None:
+        start, x = x, fit(replace(problem, groups=tuple(thinned)), columns, x, options._replace(on_step=None)).x
+        if options.ends is not None and (x != start)[columns].all():  # otherwise, other rows alone see some unknown
             chance = BY_CHANCE * float(columns.sum()) / MANY
             options = options._replace(ends=options.ends._replace(predicted=max(options.ends.predicted, chance)))
     unknowns, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
