@@ -43,7 +43,6 @@ _TOPICS = {
     ERROR: "/box/reply",
 }
 _BEAT_WRAP = 2**30  # of a heartbeat's counters
-_SAMPLE_BYTES = 4
 _LARGEST_UNNAMED_STREAM = 255
 
 
@@ -63,9 +62,7 @@ class BoxStorage:
     rtt_us: float | None = None  # the shortest clock exchange, without the time within the box
     _asked_ns: dict[int, int] = field(default_factory=dict)  # t0 of the clock requests without an answer, by id
     _frame_count: FrameCount = field(default_factory=FrameCount)
-    _beats: dict[int, tuple[int, int]] = field(
-        default_factory=dict
-    )  # dropped and overruns of each boot's last heartbeat
+    _beats: dict[int, tuple[int, int]] = field(default_factory=dict)  # last dropped and overruns, by boot
     _next_preview_ns: dict[int, int] = field(default_factory=dict)  # by stream
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
 
@@ -136,7 +133,7 @@ class BoxStorage:
 
     def _take_samples(self, t_host_ns: int, data: Data, stream: Stream) -> None:
         """Pass samples on, and store a block's last one now and then for viewers that cannot read frames."""
-        self.counters.samples += len(data.samples) // (_SAMPLE_BYTES * len(stream.channels))
+        self.counters.samples += len(data.samples) // (4 * len(stream.channels))  # int32
         if t_host_ns >= self._next_preview_ns.get(data.stream, 0) and (counts := counts_of(data, stream)) is not None:
             self._next_preview_ns[data.stream] = t_host_ns + PREVIEW_NS
             pairs = zip(stream.channels, counts[-1].tolist(), strict=True)

@@ -348,7 +348,6 @@ class SessionWriter:
             self._chunks += 1
             if self._chunks % _COPY_EVERY == 0:
                 self._copy_head(attached=self._chunks % _ATTACHED_EVERY == 0)
-            self._flushed()
             # The real clock is used on purpose: in virtual time an hour passes in seconds.
             if self.kept and time.monotonic() - self._synced_s >= _FSYNC_EVERY_S:
                 os.fsync(self._out.file.fileno())
@@ -370,13 +369,9 @@ def copy_head(session: Session, writer: SessionWriter) -> None:
         writer.attach(name, data)
 
 
-def _begun(out: _Output | io.BytesIO) -> Writer:
-    writer = Writer(
-        out,  # type: ignore[arg-type]
-        chunk_size=sys.maxsize,  # only ``flush`` ends a chunk
-        compression=CompressionType.ZSTD,
-        enable_data_crcs=True,
-    )
+def _begun(out: Any) -> Writer:
+    """Return a writer to an ``_Output`` or a buffer; only its ``flush`` ends a chunk."""
+    writer = Writer(out, chunk_size=sys.maxsize, compression=CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(profile="truearm", library=f"truearm {VERSION}")
     return writer
 
