@@ -150,7 +150,7 @@ class TestWhatIsWrong:
     def test_a_time_that_is_no_utc(self, recorded, tmp_path, out, capsys):
         table = csv_of(tmp_path / "other.csv", "t_s", recorded.t, recorded.q)
         assert "--zero-s" in self.fails(capsys, out, recorded.bare, table)
-        assert "is --zero-s right?" in self.fails(capsys, out, recorded.bare, table, "--zero-s", "1e8")
+        ended(self.fails(capsys, out, recorded.bare, table, "--zero-s", "1e8"), "invalid-input", "--zero-s")
 
     def test_a_row_in_the_middle(self, recorded, table, out, capsys):
         table.write_text(table.read_text() + "1,2,3\n")

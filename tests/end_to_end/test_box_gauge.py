@@ -232,7 +232,7 @@ def test_kept_places_of_something_else_are_refused(tmp_path, monkeypatch, capsys
             ("\0", "holds no places"),
             ('{"channel"', "truncated"),
             ("{}", "`uid`"),
-            (f"{lvdt}}}", "('lvdt' of box 'u')"),
+            (f"{lvdt}}}", "box 'u'"),
             (
                 f'{lvdt}, "places": [{{"reference": null, "mean": [0, 0, 0, 0], "temperature": 0}}]}}',
                 "places[0].reference",

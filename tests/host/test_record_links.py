@@ -174,7 +174,7 @@ class TestTcp:
 @pytest.mark.parametrize(
     ("device", "says"),
     [
-        ("ttyACM9", "not found; plug the box in"),
+        ("ttyACM9", "ttyACM9: not found"),
         ("file", "is no serial port"),
         (".", "is no serial port"),
         ("socket://127.0.0.1:1", "nothing listens there"),

@@ -11,10 +11,9 @@ import sys
 import pytest
 from mcap.reader import SeekingReader
 from test_session import chunks_of, written
-from tests.refusals import ended
+from tests.refusals import ended, refused
 
 from truearm.cli.main import main
-from truearm.errors import SessionError
 from truearm.record.links import HostClock
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
@@ -163,7 +162,7 @@ class TestRefusals:
         writer.attach("rig.toml", b"")
         writer.add_json("/plan", 1, {"q": [0.0]})  # in a chunk that was not written
         writer._out.file.close()
-        assert "nothing that can be recovered; record again" in self.refused(capsys, path)
+        ended(self.refused(capsys, path), "malformed-file", place=path)
         assert os.listdir(tmp_path) == ["s.mcap"]
 
     @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
@@ -188,7 +187,7 @@ class TestRefusals:
         path.write_bytes(whole[:-10])
         session = open_session(path, allow_damaged=True)
         path.write_bytes(whole[:300])
-        with pytest.raises(SessionError, match="is damaged at byte"):
+        with refused("damaged-session", place=path, where="at byte "):
             recover(session, tmp_path / "new.mcap", {})
 
 

@@ -131,7 +131,7 @@ def test_the_order_of_measurement_has_its_sessions_and_mounts():
     )
     (rows,) = rows_by_kind(estimate, table, page.longitude)
     figure = by_order(rows)
-    assert "2 sessions, 4 stretches of rows" in figure.caption
+    assert "2 sessions, 4 stretches " in figure.caption
     drawing = ElementTree.fromstring(figure.drawing)
     marks = {css: [] for css in ("mount line", "session line")}
     for line in drawing.iterfind("polyline"):

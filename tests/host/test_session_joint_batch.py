@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from record_box import MS, SECOND, Lab
 from session_stream import columns_of
 from test_session_joint_readings import assert_same
+from tests.refusals import refused
 
-from truearm.errors import SessionError
 from truearm.record.recover import recover
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import AddedReading
@@ -184,7 +184,7 @@ def test_readings_of_numbers_are_columns_alone(tmp_path):
 def test_readings_of_numbers_are_replaced_too(tmp_path):
     session = recorded(tmp_path / "numbers.mcap", numeric=True)
     added = AddedReading(0.5, b'{"t":0.5,"q":[1.0],"arrival":false}')
-    with pytest.raises(SessionError, match="has joint readings already"):
+    with refused("malformed-file", "replace", place=session.path):
         add_readings(session, iter([added]), tmp_path / "refused.mcap", 0.0, {})
     assert add_readings(session, iter([added]), tmp_path / "new.mcap", 0.0, {}, replace=True) == 1
     new = list(open_session(tmp_path / "new.mcap").messages())

@@ -22,7 +22,7 @@ from truearm.report.scene_view import Scene, script, view_section
 from truearm.report.tables import Table
 from truearm.units import SUFFIXES, shown, symbol
 
-POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+POLICY = ("default-src 'none'", "style-src 'unsafe-inline'")
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
 ABSENT = "–"
 MINUS = "\u2212"
@@ -57,7 +57,7 @@ def html_page(
     """
     run = script(scene)
     digest = base64.b64encode(hashlib.sha256(run.encode()).digest()).decode()
-    policy = f"{POLICY}; script-src 'sha256-{digest}'" if run else POLICY
+    policy = "; ".join([*POLICY, *[f"script-src 'sha256-{digest}'"] * bool(run)])
     simulated = any(finding.code == "simulated" for finding in findings)
     title = escape(title + " (simulated)" * simulated)
     verdict, doubts, notes = finding_parts(findings)
