@@ -187,8 +187,7 @@ def test_one_version_of_package_firmware_and_image():
 
 
 def test_only_simulate_knows_the_simulator():
-    users = {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))}
-    assert users <= {"simulate"}
+    assert {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))} <= {"simulate"}
 
 
 def modules() -> dict[str, Path]:
@@ -225,14 +224,8 @@ def test_no_module_imports_itself_on_any_way():
 @cache
 def closed_choices() -> set[str]:
     """Names of the enumerations of the host."""
-    texts = [path.read_text(encoding="utf-8") for path in python_files(HOST)]
-    return {
-        node.name
-        for text in texts
-        if "Enum" in text  # else it need not be parsed
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.ClassDef) and any(ast.unparse(base).endswith("Enum") for base in node.bases)
-    }
+    classes = (node for path in python_files(HOST) for node in tree_of(path).body if isinstance(node, ast.ClassDef))
+    return {one.name for one in classes if any(ast.unparse(base).endswith("Enum") for base in one.bases)}
 
 
 def open_choices(tree: ast.AST, choices: set[str]) -> dict[int, str]:
@@ -323,16 +316,12 @@ def defined_names() -> set[str]:
     return found
 
 
-def bare_methods(names: set[str]) -> set[str]:
-    return {name.split(".")[1] for name in names if "." in name}
-
-
 def missing_names(text: str, known: set[str]) -> set[str]:
     """What a page calls by name, ``a.b.name()`` or ``Name``, and nothing defines."""
     quoted = re.findall(r"`([^`\n]+)`", text)
     calls = {name for code in quoted for name in re.findall(r"[A-Za-z_][\w.]*(?=\(\))", code)}
     classes = {code for code in quoted if re.fullmatch(r"(\w+\.)*[A-Z]\w*[a-z]\w*", code)}
-    bare = known | bare_methods(known)
+    bare = known | {name.partition(".")[2] for name in known}
     return {name for name in calls | classes if ".".join(name.split(".")[-2:]) not in (known if "." in name else bare)}
 
 
@@ -355,13 +344,6 @@ def test_pages_about_the_code_name_what_exists(page):
     assert not missing_files(text)
 
 
-@cache
-def python_paths() -> set[str]:
-    """Of all Python files that a decision may name."""
-    folders = (*SOURCES, ROOT / "tests", ROOT / "hardware", ROOT / "docs")
-    return {str(path) for folder in folders for path in folder.rglob("*.py")}
-
-
 def test_the_picture_of_the_code_is_what_the_imports_make():
     made = runpy.run_path(str(ROOT / "docs" / "_site" / "architecture.py"))
     assert made["PICTURE"].read_text(encoding="utf-8") == made["picture"](), "run: make pictures"
@@ -370,6 +352,9 @@ def test_the_picture_of_the_code_is_what_the_imports_make():
 
 
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
+NAMEABLE = [
+    p for folder in (*SOURCES, *(ROOT / name for name in ("tests", "hardware", "docs"))) for p in folder.rglob("*.py")
+]
 OF_RAPID = {"MoveL", "CalcRobT"}  # words of a robot's language that a decision quotes
 
 
@@ -379,7 +364,7 @@ def test_decisions_name_what_exists(page):
     text = prose(page.read_text(encoding="utf-8"))
     assert not missing_names(text, defined_names()) - OF_RAPID
     named = re.findall(r"`([\w/]*\w\.py)`", text)
-    assert not [name for name in named if not any(path.endswith(f"/{name}") for path in python_paths())]
+    assert not [name for name in named if not any(path.as_posix().endswith(f"/{name}") for path in NAMEABLE)]
 
 
 def test_every_decision_has_a_number_of_its_own():

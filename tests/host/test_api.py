@@ -113,8 +113,6 @@ def test_every_name_is_there_and_described():
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         truearm.nothing  # noqa: B018
     assert len(truearm.__all__) > 40
-    for name in truearm.__all__:
-        assert getattr(truearm, name) is not None
     stub = Path(truearm.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
     assert stub.count("\nfrom truearm.") == len(truearm.__all__) - 1  # and __version__
 
