@@ -79,11 +79,11 @@ def check(recorded, out):
     assert list(found.table.bar) == list(recorded.result.table.bar)
 
 
-def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
+def test_a_table_whose_time_is_utc(recorded, tmp_path, out, printed):
     before = hashlib.sha256(recorded.bare.read_bytes()).hexdigest()
     table = csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns, recorded.q)
-    assert main(["session", "add-joints", str(recorded.bare), str(table), "--out", str(out)]) == 0
-    assert f"{len(recorded.t)} joint readings added, placed by their own times" in capsys.readouterr().out
+    said = printed("session", "add-joints", recorded.bare, table, "--out", out)
+    assert f"{len(recorded.t)} joint readings added, placed by their own times" in said
     check(recorded, out)
     assert hashlib.sha256(recorded.bare.read_bytes()).hexdigest() == before
     old, new = open_session(recorded.bare), open_session(out)
@@ -99,8 +99,7 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
     for name in ("session", "session-end"):
         for key in ("utc_ns", "monotonic_ns"):
             assert new.metadata[name][key] == old.metadata[name][key]
-    assert main(["inspect", str(out), "--json"]) == 0
-    findings = listed(json.loads(capsys.readouterr().out))
+    findings = listed(json.loads(printed("inspect", out, "--json")))
     assert (findings["session-made"]["joints"], findings["session-made"]["time"]) == ("joints.csv", "utc")
     assert "robot-clock" not in findings  # what would be said of arrivals
     others = [message for message in new.messages() if message.topic not in ("/robot/joints", "/robot/columns")]

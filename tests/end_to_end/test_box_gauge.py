@@ -33,7 +33,7 @@ class Operator(io.StringIO):
         return f"{line}\n"
 
 
-def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
+def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, printed):
     """Typed references, there and back: the bend is found, the box then reads the stage."""
     monkeypatch.chdir(tmp_path)
     references = [*np.linspace(-30, 30, 7), *np.linspace(25, -25, 5)]
@@ -41,15 +41,13 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
         lines = [*((mm, f"{mm}") for mm in references), (3.0, "7"), "undo", "seven", "", "y"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
         by = ("--instrument", "micrometer 164-163", "--uncertainty-um", "2", "--operator", "A. B.")
-        assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.3", "--serial", "LV-1", *by) == 0
-        said = capsys.readouterr().out
+        said = printed("box", "gauge", "lvdt", "--box", device, "--sample-s", "0.3", "--serial", "LV-1", *by)
         assert "dropped place 13" in said
         assert " mm, such as 12.5" in said
         assert "order 2:" in said.split("← chosen")[0].splitlines()[-1]
         assert "12 places, sigma" in said
         assert f"[y/N] {device}: stored" in said.splitlines()[-1]
-        assert box("info", "--box", device, "--json") == 0
-        entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
+        entry = json.loads(printed("box", "info", "--box", device, "--json"))["streams"][0]["channels"][0]
     calibration = entry["calibration"]
     assert (calibration["unit"], calibration["serial"]) == ("m", "LV-1")
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", calibration["date"])
@@ -76,15 +74,14 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
     assert re.fullmatch(r"\w+, firmware .+", facts["box"])
 
 
-def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monkeypatch, capsys):
+def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monkeypatch, capsys, printed):
     """Neither ends the measurement: with five places there is a calibration, of these five alone."""
     monkeypatch.chdir(tmp_path)
     with served() as (device, world, _):
         first = [*((mm, f"{mm}") for mm in (-20, -10, 0)), "", "999", "-200"]
         then = [(10, "10"), (20, "20"), "", "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, [*first, *then]))
-        assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.2", "--order", "1") == 0
-        said = capsys.readouterr().out
+        said = printed("box", "gauge", "lvdt", "--box", device, "--sample-s", "0.2", "--order", "1")
         assert "places measured: 3" in said
         assert "999.0000 mm and -20.0000 mm" in said
         assert re.search(r"-200.0000 mm and 0.0000 mm .* 200.0000 mm apart", said)
@@ -101,13 +98,12 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         lines = ["no", (-20, ""), "q", *((mm, "") for mm in (-10, 0, 10, 20)), "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
         more = ("--references", table, "--sample-s", "0.2", "--order", "1", "--force")
-        assert box("gauge", "lvdt", "--box", device, *more) == 0
-        said = capsys.readouterr().out
+        said = printed("box", "gauge", "lvdt", "--box", device, *more)
         assert "places measured: 1" in said
         assert "5 places, sigma" in said
 
 
-def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys):
+def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys, printed):
     """Its velocity of sound and the delay of its electronics, of which the latter takes up where the reference has its zero."""
     monkeypatch.chdir(tmp_path)
     world = Stage(mag_period_ns=MAG_PERIOD_NS)
@@ -117,10 +113,9 @@ def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys):
         by = ("--instrument", "scale 17", "--uncertainty-um", "8")
         assert box("gauge", "magnetostrictive", "--box", device, "--sample-s", "0.5", "--yes", *by) == 0
         capsys.readouterr()
-        assert box("config", "get", "--box", device) == 0
-        said = capsys.readouterr().out
-        assert box("info", "--box", device, "--json") == 0
-        (head,) = (words for _, words in sensors_of(json.loads(capsys.readouterr().out)) if "scale 17" in words)
+        said = printed("box", "config", "get", "--box", device)
+        sensors = sensors_of(json.loads(printed("box", "info", "--box", device, "--json")))
+        (head,) = (words for _, words in sensors if "scale 17" in words)
     residuals, uncertainty = map(float, re.findall(r"([\d.]+) µm", head))
     assert uncertainty == 8.0  # k = 2
     assert 0.0 < residuals < 10.0
@@ -204,7 +199,7 @@ def test_places_outlive_a_run_that_ends_early(tmp_path, monkeypatch, capsys):
         assert not kept.exists()
 
 
-def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypatch, capsys):
+def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypatch, capsys, printed):
     """There and back, a reference stands in the list twice and has been measured once."""
     monkeypatch.chdir(tmp_path)
     table = tmp_path / "steps.csv"
@@ -218,8 +213,7 @@ def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypat
         assert "places measured: 2" in said.err
         lines = ["", (0, ""), (10, ""), (20, ""), (0.1, ""), (-20, ""), "y"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
-        assert box(*command) == 0
-        said = capsys.readouterr().out
+        said = printed("box", *command)
         assert re.findall(r"(\d) \w+ 7: set", said) == list("34567")
         assert "7 places, sigma" in said
 
@@ -269,7 +263,7 @@ class Rehearsal(io.StringIO):
         return f"{line}\n"
 
 
-def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, capsys):
+def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, capsys, printed):
     """Five places make a calibration, four do not; a carriage that still moves makes no place; the hidden curve is found."""
     monkeypatch.chdir(tmp_path)
     places = [-10, -5, 0, 5, 10]
@@ -281,12 +275,10 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         said = capsys.readouterr()
         assert "places measured: 4 (5 readings" in said.err
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, ["n", (40, False), *((mm, True) for mm in places), ""]))
-        assert box(*command) == 0
-        said = capsys.readouterr().out
+        said = printed("box", *command)
         assert re.search(r"rejected: the sensor moved by [-+][\d.e-]+ V ", said)
         assert "5 places, sigma" in said
-        assert box("info", "--box", device, "--json") == 0
-        entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
+        entry = json.loads(printed("box", "info", "--box", device, "--json"))["streams"][0]["channels"][0]
     m, e = entry["calibration"]["sigma"]
     assert m * 10.0**e > 0.1e-6  # the simulator's means all have one error here, and five residuals show none of it
     found = np.array([m * 10.0**e for m, e in entry["calibration"]["poly"]])

@@ -69,11 +69,9 @@ def test_lines_are_fitted_but_for_the_last_one(tmp_path, monkeypatch):
     assert result["held_out"]["rms_mm"] < result["held_out_before"]["rms_mm"] / 3
 
 
-def test_without_micropython_the_demo_says_so_and_works(tmp_path, monkeypatch, capsys):
+def test_without_micropython_the_demo_says_so_and_works(tmp_path, monkeypatch, printed):
     monkeypatch.setattr(micropython, "find", lambda: None)
-    assert main(["demo", "--out", str(tmp_path), "--poses", "45", "--rate", "250"]) == 0
-    assert "firmware: CPython" in capsys.readouterr().out
+    assert "firmware: CPython" in printed("demo", "--out", tmp_path, "--poses", "45", "--rate", "250")
     assert json.loads((tmp_path / "result.json").read_text())["rank"] == 36
-    assert main(["inspect", str(tmp_path / "session.mcap"), "--json"]) == 0
-    (stream,) = json.loads(capsys.readouterr().out)["streams"]
+    (stream,) = json.loads(printed("inspect", tmp_path / "session.mcap", "--json"))["streams"]
     assert stream["rate_nominal_hz"] == pytest.approx(254.3, abs=0.05), "the rate of the converter next to 250 Hz"

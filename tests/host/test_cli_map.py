@@ -34,13 +34,12 @@ def result(tmp_path_factory, estimate):
     return correct_bench.write(tmp_path_factory.mktemp("map") / "result.json", estimate)
 
 
-def test_cells_hold_what_the_formula_says(result, tmp_path, run):
+def test_cells_hold_what_the_formula_says(result, tmp_path, printed):
     """(31) at the joints of every row, the end in its cell, in the plane, elbow up."""
     out, picture = tmp_path / "map.csv", tmp_path / "map.svg"
     section = ["map", result, "--at", "0,0,0,0,0,0", "--cell-mm", 40, "--task", "300x200"]
     page = tmp_path / "map.html"
-    code, said, err = run(*section, "--out", out, "--picture-out", picture, "--report", page)
-    assert code == 0, err
+    said = printed(*section, "--out", out, "--picture-out", picture, "--report", page)
     rows = list(csv.DictReader(out.open()))
     assert len(rows) > 300
     q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])
@@ -65,9 +64,7 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     lengths = np.linalg.norm(cloud["vectors"][0]["mm"], axis=1)
     np.testing.assert_allclose(lengths, error, atol=1e-3)
     assert "Best place for" in said
-    code, said, err = run(*section, "--json")
-    assert code == 0, err
-    document = json.loads(said)
+    document = json.loads(printed(*section, "--json"))
     errors = np.array([float(row["error_mm"]) for row in rows])
     values = {finding["code"]: finding["values"] for finding in document["findings"]}["map-error"]
     assert (values["cells"], values["cell"], document["written"]) == (len(rows), {"mm": 40.0}, [])

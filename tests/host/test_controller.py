@@ -64,14 +64,15 @@ def exact_forward(rows, q):
 
 
 @pytest.mark.parametrize("model", ["ur5e", "ur10e"])
-def test_a_controller_is_read_into_a_robot_file_that_predicts_what_it_computes(run, tmp_path, controller, model):
+def test_a_controller_is_read_into_a_robot_file_that_predicts_what_it_computes(
+    run, printed, tmp_path, controller, model
+):
     drawing = builtin_robot(model)
     rows = built_rows(drawing.chain, SEED)
     assert np.abs(rows[2]).max() > 100.0
     address = controller(message() + state(bytes(60), kind=6) + state(info(rows)))
     out = tmp_path / "arm.toml"
-    code, stdout, _ = run("robot", "read", address, "--model", model, "--out", out, "--json")
-    assert code == 0
+    stdout = printed("robot", "read", address, "--model", model, "--out", out, "--json")
     robot = load_robot(str(out))
     q = np.random.default_rng(0).uniform(-2 * np.pi, 2 * np.pi, (200, 6))
     assert np.abs(robot.forward(q) - exact_forward(rows, q)).max() < 1e-12
@@ -209,13 +210,12 @@ def test_the_controller_of_another_arm_is_refused(run, tmp_path, controller):
     assert "six revolute" in err
 
 
-def test_a_project_has_the_controllers_kinematics_or_says_that_it_does_not(run, tmp_path, controller):
+def test_a_project_has_the_controllers_kinematics_or_says_that_it_does_not(run, printed, tmp_path, controller):
     address = controller(state(info(built_rows(UR5E.chain))))
     for name in ("cell", "b"):  # which need no first rig then
         (tmp_path / name).mkdir()
         write_rig(tmp_path / name / "rig.toml", RIG)
-    code, out, _ = run("init", tmp_path / "cell", "--model", "ur5e", "--address", address, "--minutes", "0", "--json")
-    assert code == 0
+    out = printed("init", tmp_path / "cell", "--model", "ur5e", "--address", address, "--minutes", "0", "--json")
     assert json.loads(out)["findings"][0]["code"] == "controller-read"
     assert 'model = "robot.toml"' in (tmp_path / "cell" / "truearm.toml").read_text()
     assert load_robot(str(tmp_path / "cell" / "robot.toml")).checksums

@@ -105,7 +105,7 @@ def test_a_straight_move_bends_as_the_controller_drives_it():
         )  # the interpreter ends to 1e-10
 
 
-def test_a_line_that_cannot_be_followed_has_no_figures(bench, tmp_path, run):
+def test_a_line_that_cannot_be_followed_has_no_figures(bench, tmp_path, printed):
     """From the other side of the base straight through it: nothing is stated from the part within reach."""
     there = correct_bench.good_poses(3)[2]
     behind = there - np.pi * np.sign(there[0]) * np.eye(6)[0]
@@ -114,8 +114,7 @@ def test_a_line_that_cannot_be_followed_has_no_figures(bench, tmp_path, run):
     (tmp_path / "a.mod").write_bytes(re.sub(rb"MoveL [^!\r]*,v100", b"MoveL p0,v100", program))
     frames = ("--work", SAME, "--flange", SAME)
     given = ("correct", bench[0] / "result.json", tmp_path / "a.mod", "--out", tmp_path / "b.mod", *frames)
-    code, said, err = run(*given, "--report", tmp_path / "page.html", "--json")
-    assert code == 0, err
+    said = printed(*given, "--report", tmp_path / "page.html", "--json")
     (move,) = json.loads(said)["moves"]
     assert (move["deviation_mm"], move["singular_value"], move["drivable"]) == (None, None, False)
     bent = listed(json.loads(said))["moves-bent"]
@@ -134,7 +133,7 @@ def bench(tmp_path_factory):
     return folder, estimate
 
 
-def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, run):
+def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, printed):
     """Joint 2 was seen from −60 to 0 deg only: the rows beyond are named, a joint a whole turn away is the same place."""
     folder, _ = bench
     document = json.loads((folder / "result.json").read_text())
@@ -142,14 +141,11 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, run):
     (tmp_path / "t.csv").write_text(table(correct_bench.nominal_poses(q), q))
     document["joint_range"]["upper"] = [v + 2 * np.pi for v in document["joint_range"]["upper"]]
     document["joint_range"]["lower"] = [v + 2 * np.pi for v in document["joint_range"]["lower"]]
-    code, said, _ = run("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "a.csv")
-    assert code == 0
+    said = printed("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "a.csv")
     assert "outside the joint" not in " ".join(said.split())
     document["joint_range"]["lower"][1], document["joint_range"]["upper"][1] = np.deg2rad([-60.0, -20.0])
-    code, said, _ = run(
-        "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "b.csv", "--json"
-    )
-    found = json.loads(said)
+    given = ("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "b.csv", "--json")
+    found = json.loads(printed(*given))
     outside = [one["place"] for one in found["targets"] if one["outside"]]
     joint2 = np.array([one["after"]["q2_deg"] for one in found["targets"]])
     slack = np.rad2deg(0.05)
@@ -159,7 +155,7 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, run):
     assert listed(found)["targets-outside"]["n"] == beyond.sum()
     del document["joint_range"]
     given = ("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "c.csv", "--json")
-    assert "range-unknown" in listed(json.loads(run(*given)[1]))
+    assert "range-unknown" in listed(json.loads(printed(*given)))
 
 
 def _written(folder, document):
@@ -182,14 +178,13 @@ def test_what_only_places_base_and_tool_leaves_the_expected_error_relative_to_th
         assert all((target["expected_mm"] is None) == (not frames) for target in found["targets"])
 
 
-def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, run):
+def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, run, printed):
     folder, _ = bench
     q = correct_bench.good_poses(6)
     name = "a<script>&.mod"
     (tmp_path / name).write_bytes(rapid(correct_bench.nominal_poses(q), q))
     more = ("--work", SAME, "--flange", SAME, "--report", tmp_path / "page.html")
-    code, said, err = run("correct", folder / "result.json", tmp_path / name, "--out", tmp_path / "b.mod", *more)
-    assert code == 0, err
+    said = printed("correct", folder / "result.json", tmp_path / name, "--out", tmp_path / "b.mod", *more)
     assert "page.html" in said
     page = (tmp_path / "page.html").read_text()
     assert "a<script>" not in page

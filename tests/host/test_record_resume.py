@@ -186,13 +186,11 @@ class TestParts:
         assert main(["session", "recover", str(first)]) == 0
         assert re.fullmatch(r"s.mcap continues in s.2.mcap: .* s-recovered.mcap\b.*\n", capsys.readouterr().err)
 
-    def test_inspect_tells_all_of_them(self, tmp_path, capsys):
+    def test_inspect_tells_all_of_them(self, tmp_path, printed):
         session(tmp_path / "s.mcap")
         session(tmp_path / "s.2.mcap", setup={"of": "s.mcap"})
-        assert main(["inspect", str(tmp_path / "s.mcap")]) == 0
-        assert f"{tmp_path / 's.2.mcap'} continues it:" in capsys.readouterr().out
-        assert main(["inspect", str(tmp_path / "s.mcap"), "--json"]) == 0
-        (part,) = json.loads(capsys.readouterr().out)["parts"]
+        assert f"{tmp_path / 's.2.mcap'} continues it:" in printed("inspect", tmp_path / "s.mcap")
+        (part,) = json.loads(printed("inspect", tmp_path / "s.mcap", "--json"))["parts"]
         assert part["file"].endswith("s.2.mcap")
 
 
