@@ -342,6 +342,10 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "nothing-left": ("[{place}: ]no {what} are left to fit", "hold out, leave out or freeze fewer"),
     # sessions and projects
     "not-a-session": ("{place}: is not an MCAP file", "give a session (.mcap) recorded by truearm record"),
+    "no-observation": (
+        "{place}: [no observation from {rejected}||no dwell and no motion along a line was found]",
+        "[{none_fits:!}check that robot and rig are those that were measured; if so, ][{undecided:!}decide what was mounted with truearm session relabel {file}][{others:!}; truearm inspect {file} shows why the others were rejected][{unexplained:!}truearm inspect {file} shows why]",
+    ),
     "damaged-session": (
         "{place}: is damaged {where}",
         "copy it again from where it was recorded, or, to use the intact part, give {@allow_damaged}",
@@ -604,6 +608,17 @@ REPEATABILITY: Mapping[str, Statement] = {
 }
 
 RECORDING: Mapping[str, Statement] = {
+    "labels": result(
+        "{sessions}: {dwells:#dwell}, {with_reading} with a reading within the stroke; [{left_out:#dwell} left out||none is left out]."
+    ),
+    "dwell-left-out": warning("{session} dwell {dwell}: {detail}."),
+    "labels-next": advice(
+        "Nothing was written.", "Give {@trust}, or what was mounted, as {@mounted} 12:14=BAR,CHUCK,SPHERE."
+    ),
+    "labels-written": note("Later commands use these labels.", "To undo this, delete the file."),
+    "init-next": advice(
+        "Next: [print {block} and place it as {drawing} shows||put what you measured of the rig into {rig}]; then {step}."
+    ),
     "recorded": result(
         "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})]."
     ),
@@ -815,7 +830,7 @@ MAP: Mapping[str, Statement] = {
     "map-sigma-unknown": warning("Error with calibration: unknown in {n} of {cells:#cell}."),
     "joints-outside": warning(
         '[Outside in every cell: {joints}.||In {n:#cell} a joint is outside the readings that the calibration was identified from ("covered" is 0 in the table; pale in the picture).]',
-        "[{joints:!}Give other readings with {@at}, or the other {@elbow}, or neither.]",
+        "[{joints:!}Give other readings with {@at}, or leave it out.]",
     ),
 }
 

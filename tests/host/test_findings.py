@@ -10,8 +10,9 @@ import pytest
 from tests.host.findings_bench import stated
 
 import truearm.finding_texts
+from truearm.cli.main import command_tree
 from truearm.errors import Argument, InputError, PlanError, ProblemError, RobotError, TableError
-from truearm.finding_texts import ERRORS, STATEMENTS, Severity
+from truearm.finding_texts import ERRORS, REASONS, STATEMENTS, Severity
 from truearm.findings import Finding, worded
 
 HOST = Path(truearm.finding_texts.__file__).parent
@@ -62,6 +63,18 @@ def test_an_entry_is_a_sentence(code):
     for text in filter(None, texts):
         assert text.count("[") == text.count("]")
         assert not re.search(r"  |--", text)
+
+
+def test_options_that_an_entry_names_exist():
+    tree = command_tree()
+    groups, options = [tree], {"robot"}  # the argument of --model
+    for group in groups:
+        groups += [command for command in getattr(group, "commands", {}).values() if command not in groups]
+        options |= {name.removeprefix("--") for parameter in group.params for name in parameter.opts}
+    named = {
+        name for texts in [*STATEMENTS.values(), *REASONS.values()] for name in re.findall(r"@(\w+)\}", str(texts))
+    }
+    assert {name.replace("_", "-") for name in named} - options == {"help"}
 
 
 def test_screen_page_json_and_file_have_the_same_findings(run, good, tmp_path):

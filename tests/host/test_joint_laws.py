@@ -32,7 +32,7 @@ from truearm.model.poses import position_and_rotation
 from truearm.plan.forecast import Knowledge
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.report.figures import law_figures
-from truearm.report.law_findings import law_findings
+from truearm.report.result_findings import law_findings
 from truearm.strict_json import strict_json
 from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of

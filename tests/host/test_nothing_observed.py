@@ -72,7 +72,7 @@ def test_a_session_of_another_robot(tmp_path, plan, capsys, monkeypatch):
     ],
 )
 def test_reasons_and_commands(dwells, passes, planned, said):
-    text = nothing_observed(Path("s.mcap"), dwells, passes, planned)
+    text = str(nothing_observed(Path("s.mcap"), dwells, passes, planned))
     assert text.startswith("s.mcap: ")
     assert all(part in text for part in said)
     assert [command in text for command in (RELABEL, INSPECT)] == [command in said for command in (RELABEL, INSPECT)]
@@ -84,6 +84,6 @@ def test_another_robots_session_and_nothing_at_all(tmp_path, plan, capsys):
     recorded(path, plan, right(plan))
     assert main(["identify", str(path), "--model", "irb120", "--out", str(tmp_path / "r.json")]) == 2
     assert "(40 doubtful)" in capsys.readouterr().err
-    said = nothing_observed(Path("s.mcap"), {}, {}, False)
+    said = str(nothing_observed(Path("s.mcap"), {}, {}, False))
     assert said.startswith("s.mcap: ")
-    assert said.endswith(INSPECT)
+    assert INSPECT in said

@@ -334,15 +334,8 @@ def _plain(rows: list[tuple[str, str]]) -> None:
 
 def _live(stack: ExitStack) -> Callable[[list[tuple[str, str]]], None]:
     from rich.live import Live
-    from rich.table import Table
-    from rich.text import Text
+
+    from truearm.live.view import grid
 
     live = stack.enter_context(Live(auto_refresh=False, transient=False))
-
-    def show(rows: list[tuple[str, str]]) -> None:
-        table = Table.grid(padding=(0, 2))
-        for name, value in rows:
-            table.add_row(Text(name), Text(value))
-        live.update(table, refresh=True)
-
-    return show
+    return lambda rows: live.update(grid((*row, False) for row in rows), refresh=True)

@@ -98,7 +98,7 @@ def init(
         Sockets: postures of the arm at each place.
     json
     """
-    from truearm.findings import entries, findings_of, option
+    from truearm.findings import Finding, entries, findings_of
     from truearm.workflows.project import create
     from truearm.workflows.project_file import Project
     from truearm.workflows.socket_project import BLOCK, DRAWING
@@ -144,15 +144,14 @@ def init(
         folder, project, replace(rig, measured_with=instrument), sockets if with_sockets else None, bounds, minutes
     )
     step = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
-    controller = [] if created.controller is None else [created.controller]
-    lines = [finding.text(option) for finding in controller]
-    lines += [f"{path.name:<16}{path}" for path in created.written]
-    lines += [finding.text(option) for finding in findings_of(created.plan)[:1]] if created.plan else []
-    measuring = f"put what you measured of the rig into {folder / project.rig}"
-    printing = f"print {folder / BLOCK} and place it as {folder / DRAWING} shows"
-    lines.append(f"\nnext: {printing if with_sockets else measuring}; then {step}")
-    document = {"written": [str(path) for path in created.written], "plan": created.plan}
-    return Answer({**document, "findings": entries(controller)}, lines)
+    places = {"block": folder / BLOCK, "drawing": folder / DRAWING} if with_sockets else {"rig": folder / project.rig}
+    following = Finding(
+        "init-next", {"block": None, **{name: str(path) for name, path in places.items()}, "step": step}
+    )
+    own = [*filter(None, [created.controller]), following]
+    document = {"written": [str(path) for path in created.written], "plan": created.plan, "findings": entries(own)}
+    planned = findings_of(created.plan)[:1] if created.plan else []
+    return Answer(document, findings=[*planned, *own], details_hint="")
 
 
 def _check_model(text: str) -> None:

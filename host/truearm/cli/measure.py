@@ -367,8 +367,7 @@ def characterize(
         Print how the arm settles, the noise of joints and sensor, and a table of the joints. Difference: the mean reading
         of a joint that comes from below, minus from above. Scatter: the sigma of its readings from one side.
     """
-    from truearm.report.repeatability_findings import joint_table
-    from truearm.workflows.characterize import characterize_files
+    from truearm.workflows.characterize import characterize_files, joint_table
 
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     document = characterize_files(files, bands)

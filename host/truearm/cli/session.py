@@ -106,20 +106,15 @@ def relabel(
         Default: none of them, where they disagree.
     mounted : DWELLS=BAR,CHUCK,SPHERE
         What was mounted at some dwells, numbered as printed: 12:14=bar46,c1,s2; of a further part, "s.2.mcap 12=...".
+    details
+        Print every dwell that is left out.
     """
     from truearm.kinds.rig_file import read_rig
     from truearm.workflows.relabel import relabel as relabel_session
 
     nominal = robot.load() if robot.robot else None
     document = relabel_session(session, nominal, trust, mounted, read_rig(rig) if rig else None)
-    left_out, saved = document["left_out"], document["saved"]
-    sessions, dwells = ", ".join(map(one_line, document["sessions"])), counted(document["dwells"], "dwell")
-    summary = f"{sessions}: {dwells}, {document['with_reading']} with a reading within the stroke; "
-    text = [summary + (f"{len(left_out)} left out:" if left_out else "none is left out")]
-    text += [f"  {one_line(row['session'])} dwell {row['dwell']}: {one_line(row['detail'])}" for row in left_out]
-    nothing = "Nothing was written. Give --trust, or what was mounted, as --mounted 12:14=BAR,CHUCK,SPHERE."
-    text.append(f"Written: {', '.join(map(one_line, saved))}. To undo this, delete it." if saved else nothing)
-    return Answer(document, text)
+    return Answer(document, written=document["saved"])
 
 
 @command(app, "add-joints", files=files_help())

@@ -30,7 +30,7 @@ def status() -> Answer:
         raise InputError("no-project", file=FILE)
     state = state_of(file)
     following, why = next(_steps(state))
-    return Answer({**state, "next": following, "why": why}, [*_lines(state), f"next      {following} ({why})"])
+    return Answer({**state, "next": following, "why": why}, [f"next      {following} ({why})", *_lines(state)])
 
 
 def _lines(state: State) -> Iterator[str]:

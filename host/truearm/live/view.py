@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from typing import TextIO
 
@@ -75,8 +75,14 @@ def _own_file(output: TextIO) -> AbstractContextManager[TextIO]:
         return nullcontext(output)
 
 
-def _table(rows: list[ViewLine], typed: Typed | None) -> RenderableType:
+def grid(rows: Iterable[tuple[str, str, bool]]) -> Table:
+    """Return a table of names and texts, with those of alarms in colour."""
     table = Table.grid(padding=(0, 2))
-    for row in rows:
-        table.add_row(Text(row.name, "dim"), Text(row.words, "bold yellow" if row.alarms else ""))
+    for name, text, is_alarm in rows:
+        table.add_row(Text(name, "dim"), Text(text, "bold yellow" if is_alarm else ""))
+    return table
+
+
+def _table(rows: list[ViewLine], typed: Typed | None) -> RenderableType:
+    table = grid((row.name, row.words, bool(row.alarms)) for row in rows)
     return table if typed is None else Group(table, Text(HELP, "dim"), Text(f"> {typed.text}"))

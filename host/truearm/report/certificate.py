@@ -17,6 +17,7 @@ from truearm.units import DEGC
 
 MOST = 4  # sensors, parts of the rig and files listed on page one
 Facts = tuple[tuple[str, str], ...]  # labels and values
+UNRECORDED = ("temperature", "not recorded")
 SIGNATURE = "".join(f"<p>{field}</p>" for field in ("place, date", "name", "signature"))
 
 
@@ -56,16 +57,17 @@ def facts_of(recordings: Sequence[Recording]) -> Facts:
 def conditions(recordings: Sequence[Recording]) -> Facts:
     """Return how the rows were recorded; what several sessions have of their own is on a later page."""
     if not recordings:
-        return (("recording", "tables, which do not say how they were recorded"), ("temperature", "not recorded"))
+        return (("recording", "tables, which do not say how they were recorded"), UNRECORDED)
     if len(recordings) == 1:
         return facts_of(recordings)
     readings: dict[str, list[float]] = {}
     for name, *degc in (reading for recording in recordings for reading in recording.temperatures):
         readings.setdefault(name, []).extend(degc)
+    temperatures = [(f"temperature of the {name}", between(min(degc), max(degc))) for name, degc in readings.items()]
     return (
         ("sessions", f"{len(recordings)}, listed under The recording"),
         ("samples lost", f"{sum(recording.samples_lost for recording in recordings):,}"),
-        *((f"temperature of the {name}", between(min(degc), max(degc))) for name, degc in readings.items()),
+        *(temperatures or [UNRECORDED]),
     )
 
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from truearm.estimate.law_curves import SampledCurve, spectrum
 from truearm.report import svg
-from truearm.report.law_findings import intervals_text
 from truearm.report.page import Figure, figures, number
 from truearm.report.residual_rows import ResidualRows, law_of
+from truearm.report.result_findings import intervals_text
 from truearm.text import counted
 from truearm.types import Floats, Indices, Mask, rms
 from truearm.units import DEG, MRAD, title

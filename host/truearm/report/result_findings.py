@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from statistics import NormalDist
 from typing import Any
 
@@ -12,7 +13,6 @@ from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.finding_texts import READ
 from truearm.findings import Finding, findings_of, ordered, stated, worded
-from truearm.report.law_findings import law_findings, scatter_terms
 from truearm.report.result_tables import has_little_freedom, kind_name
 from truearm.results import Gain, Unusable, chi2_text
 from truearm.text import counted, listed, one_line
@@ -28,6 +28,9 @@ IGNORED = 0.1  # weight by a robust loss: rows with less hardly count
 OUTSIDE = 1e-3  # chance that any parameter of an arm as its prior says lies outside it
 MAX_CHOICES = 6  # causes whose application is described
 SETTLED = "estimated from the rows that judge"  # unknowns of the rig
+SCATTER = {"shared": "shared by the rows of a pose", "turned": "of rotation shared by the rows of a pose"}
+SMALL_SHARE = 0.5  # of the range of a sag: it is extrapolated by more than it was measured
+MOST_GAPS = 4  # named
 EVERY = ".all"  # ends the name of all items of a type
 FORMS = {  # what an item does, by the form of a hypothesis; of another form, a kind's own, the name is shown
     "offset": "is off",
@@ -97,7 +100,8 @@ def verdict(document: Document) -> Finding:
     if change is not None:
         values = _change(change)
     elif judged is not None and nominal is not None:
-        values = {"rows": counted(judged["n"], "held-out row"), **_errors(after=judged, before=nominal)}
+        values = {"after": sizes(judged, "rms"), "before": sizes(nominal, "rms")}
+        values["rows"] = counted(judged["n"], "held-out row")
     else:
         values = {"unjudged": True, "rows": "the fitted rows"}
         values |= {name: sizes(document, f"rms_{name}") for name in ("after", "before")}
@@ -106,11 +110,6 @@ def verdict(document: Document) -> Finding:
         applied = document.get("applied")
         values |= {"applied": applied, "remaining": error} if applied else {"expected": error}
     return Finding("usable", values)
-
-
-def _errors(**entries: Document) -> dict[str, dict[str, float]]:
-    """Return the RMS errors of entries."""
-    return {name: sizes(entry or {}, "rms") for name, entry in entries.items()}
 
 
 def _change(change: Document) -> dict[str, Any]:
@@ -563,6 +562,75 @@ def audit(controller: Document, drawing: Document, identified: Document) -> Iter
     """Return the errors, by unit, of the controller's model, the drawing and the identified robot on rows not fitted."""
     if drawing:
         yield Finding("audit", {"controller": controller, "drawing": drawing, "identified": identified})
+
+
+# joint laws
+
+
+def law_findings(document: Document) -> Iterator[Finding]:
+    """Return what was learned about joint laws; empty if they were not requested."""
+    laws = document["joint_laws"]
+    if laws is None:
+        return
+    for reason in laws["reasons"]:
+        yield Finding("no-law", {"reason": reason})
+    kept_laws = [law for law in laws["tried"] if law["kept"]]
+    dropped = [law for law in laws["tried"] if not law["kept"]]
+    if not kept_laws:
+        yield Finding("no-law", {"tried": len(dropped), "none": not dropped})
+        return
+    for law in kept_laws:
+        yield _law_kept(law)
+    if dropped:
+        names = [f"{law['joint']} {law['term']} {round(law['nats'], 1) + 0.0:.1f}" for law in dropped]
+        yield Finding("no-law", {"dropped": ", ".join(map(one_line, names))})
+    sags = [law for law in kept_laws if law["term"] == "sag"]
+    if sags and not laws["gravity_known"]:
+        yield Finding("gravity-assumed")
+    shares = [(law["joint"], law.get("range_share")) for law in sags]  # earlier results do not have it
+    small = [f"{joint} {share:.0%}" for joint, share in shares if share is not None and share < SMALL_SHARE]
+    if small:
+        yield Finding("sag-extrapolated", {"joints": small})
+    payloads = laws.get("payloads", [])
+    masses = [f"{mass:g}" for mass in sorted({payload["mass_kg"] for payload in payloads})]
+    if sags and any(payload["mass_kg"] for payload in payloads):
+        values = {"masses": masses, "several": len(payloads) > 1, "holder": "the calibration"}
+        yield Finding("sag-payload", values)
+    terms = [f"{laws['noise']['factor']:.2g} times the declared variances", *scatter_terms(laws["noise"])]
+    yield Finding("law-noise", {"terms": terms})
+
+
+def scatter_terms(sizes: Mapping[str, float]) -> list[str]:
+    """Return the arm's scatter in words: the sizes in the field ``noise`` of joint laws, or in ``pose_error``."""
+    terms = []
+    for name, sigma in sizes.items():
+        quantity, _, unit = name.rpartition("_")
+        if sigma and (unit == "mm" or quantity == "turned"):
+            terms.append(f"{sigma:.2g} {unit} {SCATTER.get(quantity, f'at the tool by {one_line(quantity)}')}")
+    return terms
+
+
+def _law_kept(law: Document) -> Finding:
+    rms = {"mrad": float(f"{law['rms_mrad']:.2g}")}
+    if law["term"] != "curve":
+        return stated("law-kept", law, rms=rms)
+    periods = [f"{period['cycles']:.0f} ({period['amplitude_mrad']:.2g} mrad)" for period in law["periods"]]
+    values = {"covered": intervals_text(law["covered_deg"]), "periods": periods, "short": not periods}
+    return stated("law-kept", law, rms=rms, **values, resolution=law["resolution_cycles"])
+
+
+def intervals_text(intervals: Sequence[Sequence[float]]) -> str:
+    """Return ascending intervals [deg] as their whole range and its widest gaps."""
+    if not intervals:
+        return "nowhere"
+    text = f"{intervals[0][0]:.0f} to {intervals[-1][1]:.0f} deg"
+    gaps = [(a[1], b[0]) for a, b in pairwise(intervals)]
+    named = sorted(sorted(gaps, key=lambda gap: gap[0] - gap[1])[:MOST_GAPS])
+    if not named:
+        return text
+    listed = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in named)
+    smaller_gaps = f" and {counted(len(gaps) - len(named), 'smaller gap')}" * (len(gaps) > len(named))
+    return f"{text} except {listed} deg{smaller_gaps}"
 
 
 def _held_out(document: Document) -> Iterator[Finding]:

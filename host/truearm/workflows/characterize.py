@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import isfinite
 from statistics import mode
 from typing import Any
 
@@ -13,13 +14,13 @@ import numpy as np
 from truearm.disk import check_writable, write_atomic
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate import repeatability
-from truearm.findings import entries
+from truearm.findings import Finding, entries, ordered, stated
 from truearm.kinds.noise_file import NoiseFile, format_noise
 from truearm.kinds.rig_file import read_rig
 from truearm.model.chain import Chain, distance_jacobian
 from truearm.plan.plan_file import read_plan
 from truearm.progress import step
-from truearm.report.repeatability_findings import remarks, repeatability_findings
+from truearm.report.tables import Table
 from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.observations import BAR, SyncResult
@@ -28,10 +29,14 @@ from truearm.session.samples import extension
 from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import Floats, Rig
+from truearm.units import MM, MRAD, MS, UM, S, Scale
 from truearm.workflows.requests import CharacterizeFiles
 from truearm.workflows.session_observations import observations_of_session, reasons_text, recorded_rig
 from truearm.workflows.session_parts import open_finished, session_parts
 
+Document = Mapping[str, Any]
+
+JOINTS = ("joint", "backlash/mrad", "difference/mrad", "scatter/mrad", "sigma to use/mrad")
 LEAST_VISITS = 6
 LONG_S = 8.0  # a dwell of this length shows slow noise
 BEFORE_NS = 600_000_000  # of the approach, included with each dwell
@@ -245,3 +250,83 @@ def _mean_var(bins: Bins, dwell: Dwell) -> Floats:
     if len(means) < 4:
         return np.full(dwell.q.size, np.nan)
     return np.array([mean_variance(column)[0] for column in (means - np.mean(means, axis=0)).T])
+
+
+# in words
+
+
+def repeatability_findings(document: Document) -> list[Finding]:
+    """Return the repeatability, what identify uses, how the arm settles, and the noise; figures with intervals of 95 %."""
+    spread, settling, noise, sensor = (document[name] for name in ("repeatability", "settling", "noise", "sensor"))
+    widths = zip(spread["backlash_si"], document["joints"], strict=True)
+    largest, joint = max(widths, key=lambda width: width[0]["value"] if isfinite(width[0]["value"]) else -1.0)
+    noisiest, floor = max(document["readings"], key=lambda row: row["reading_si"]["value"]), sensor["floor"]
+    bands = [
+        f"{MM.text(band['within_m'])} after {interval(band['median_s'], S)} (median) and {interval(band['share_95_s'], S)} "
+        f"(95th percentile) in {counted(band['visits'], 'visit')}"
+        for band in settling["bands"]
+        if band["visits"]
+    ]
+    verdict = {
+        "along": interval(spread["along_m"], MM),
+        "alone": interval(spread["unexplained_m"], MM),
+        "backlash": interval(largest, MRAD),
+        "joint": joint,
+    }
+    declared = {"mm": MM.of(noise["declared_bar_sigma_m"])}
+    to_use = {"bar": document["bar"], "sigma": interval(noise["bar_sigma_m"], MM), "declared": declared}
+    misfit = {"probability": spread["misfit_probability"]}
+    begin = {name: {"s": value} for name, value in settling["dwells_begin_s"].items()}
+    measured = {
+        "reading": interval(noisiest["reading_si"], MRAD),
+        "step": MRAD.text(noisiest["step_si"], ".3g"),
+        "mean": interval(noisiest["mean_si"], MRAD),
+        "rounding": f"{round(MRAD.of(noisiest['rounding_si']), 6):.2g} mrad",
+        "sample": interval(sensor["sample_m"], UM),
+        "period": MS.text(sensor["period_s"], ".3g"),
+        "independent": interval(sensor["independent_after_s"], MS),
+        "floor": floor and interval(floor, UM),
+        "over": floor and floor["tau_s"],
+    }
+    findings = [
+        stated("repeatability", document, **verdict),
+        Finding("noise-to-use", to_use),
+        *([] if spread["backlash_explains"] else [Finding("backlash-varies", misfit)]),
+        Finding("settling-measured", {**begin, "bands": bands}),
+        Finding("noise-measured", measured),
+    ]
+    return ordered(findings, document["simulated"])
+
+
+def joint_table(document: Document) -> Table:
+    """Return the figures of each joint [mrad]."""
+    spread = document["repeatability"]
+    columns = [spread[name] for name in ("backlash_si", "reading_difference_si", "reading_spread_si")]
+    columns.append(document["noise"]["joint_sigma_si"])
+    rows = zip(document["joints"], *columns, strict=True)
+    return Table(JOINTS, [(joint, *(interval(figure, MRAD, False) for figure in figures)) for joint, *figures in rows])
+
+
+def remarks(document: Document) -> Iterator[str]:
+    """Return what stands at the head of the noise file."""
+    noise = document["noise"]
+    if document["simulated"]:
+        yield Finding("simulated").text()
+    name = one_line(document["session"])
+    yield f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses; intervals of 95 %"
+    for joint, sigma in zip(document["joints"], noise["joint_sigma_si"], strict=True):
+        yield f"{joint}: {interval(sigma, MRAD)}"
+    yield f"bar {document['bar']}: {interval(noise['bar_sigma_m'], MM)}"
+
+
+def interval(figure: Mapping[str, float], scale: Scale, unit: bool = True) -> str:
+    """Return a figure with its interval in some unit; "-" if nothing is known."""
+    value, low, high = (scale.of(figure[key]) for key in ("value", "low", "high"))
+    if not isfinite(value):
+        return "-"
+    upper = _digits(high) if isfinite(high) else "…"
+    return f"{_digits(value)} ({_digits(low)} to {upper})" + (f" {scale.symbol}" if unit else "")
+
+
+def _digits(value: float) -> str:
+    return f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.2g}"

@@ -15,8 +15,7 @@ from truearm.findings import option
 from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table_file import table_columns
 from truearm.progress import step
-from truearm.session.labels_file import read_labels
-from truearm.session.observations import Survey, observations
+from truearm.session.observations import Survey
 from truearm.session.session_file import Session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
 from truearm.strict_json import strict_json
@@ -24,7 +23,7 @@ from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.column_writers import ArrowTable, Columns
 from truearm.workflows.requests import ExportSession
-from truearm.workflows.session_observations import attached_rig, surveyed
+from truearm.workflows.session_observations import paired, surveyed
 from truearm.workflows.session_parts import open_finished
 
 SAID = "session.json"
@@ -91,10 +90,7 @@ def _tables(session: Session, survey: Survey, rig: Rig | None, units: Sequence[s
     if plan is not None:
         yield "plan", plan
     try:
-        rig = rig or attached_rig(session, session.path)
-        if rig is None:
-            raise InputError("was recorded without a rig; give a rig to get observations")
-        result = observations(survey, rig, session.path.name, labels=read_labels(session.path))
+        result = paired(session, survey, rig)
     except InputError:
         yield "dwells", dwell_columns(survey, survey.dwells, units)
         raise

@@ -88,8 +88,7 @@ def identified_arm(home: Path, options: FleetOptions) -> Arm:
         row = replace(row, before_mm=change.get("mean_before_mm"), after_mm=change.get("mean_after_mm"))
         page = result.with_suffix(".html")
         if options.reports and not page.exists():
-            again = replace(files, sources=sources_of(project, home), command=f"truearm report {result.name}")
-            report_files(result, again, page, Issue(project))
+            report_files(result, replace(files, command=f"truearm report {result.name}"), page, Issue(project))
     except TruearmError as exc:
         return replace(row, code=exc.exit_code, verdict=str(exc))
     except OSError as exc:

@@ -27,7 +27,7 @@ from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
-from truearm.report.certificate import Facts, Recording, between
+from truearm.report.certificate import UNRECORDED, Facts, Recording, between
 from truearm.session.box_ident import decimal
 from truearm.session.labels_file import labels_path, read_labels
 from truearm.text import one_line
@@ -129,7 +129,9 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
         tables = [read.table for read in reads]
         table = concatenate([rows for rows in tables if len(rows)] or tables)
         if not len(table):
-            raise SessionError("; ".join(nothing))
+            first, *further = nothing
+            with noting(error.finding for error in further):
+                raise first
         rigs = named_rigs | dict(session_rig.values())
         if noise is not None:
             check_against_rigs(noise, rigs)
@@ -193,7 +195,7 @@ class _Read(NamedTuple):
     findings: Sequence[Finding] = ()
     account: Mapping[str, Any] = {}
     recording: Recording | None = None
-    nothing: str = ""
+    nothing: SessionError | None = None
 
 
 def _read_table(path: Path, chain: Chain | None) -> _Read:
@@ -280,7 +282,7 @@ def recording_of(session: Session, result: SyncResult, reasons: Mapping[str, int
     facts.append(("error of the box's clock, at most", bound))
     read = {one_line(name) or "unnamed": meter.extremes for name, meter in result.survey.thermometers.items()}
     temperatures = tuple((name, *degc) for name, degc in read.items() if degc is not None)
-    facts += [(f"temperature of the {name}", between(*degc)) for name, *degc in temperatures]
+    facts += [(f"temperature of the {name}", between(*degc)) for name, *degc in temperatures] or [UNRECORDED]
     sensors = tuple(dict.fromkeys(sensor for ident in idents for sensor in sensors_of(ident.document)))
     return Recording(one_line(session.path.name), begun, tuple(facts), sensors, lost, temperatures)
 

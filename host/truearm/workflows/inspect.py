@@ -15,13 +15,12 @@ from truearm.findings import entries
 from truearm.progress import step
 from truearm.report.session_findings import session_findings
 from truearm.session.joint_format import parse_line
-from truearm.session.labels_file import read_labels
 from truearm.session.session_tables import dwell_columns, pass_columns, rows_of
 from truearm.strict_json import without_nan
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM
-from truearm.workflows.session_observations import attached_rig, surveyed
+from truearm.workflows.session_observations import paired, surveyed
 
 if TYPE_CHECKING:
     from truearm.session.dwells import Dwell
@@ -168,12 +167,9 @@ def _robot(survey: Survey, contents: Contents) -> dict[str, Any]:
 
 def _measured(session: Session, survey: Survey) -> dict[str, Any]:
     """Return dwells by the joint readings and passes along lines; with a rig also their outcome."""
-    from truearm.session.observations import observations
-
-    result, problem = None, "no rig is attached"
+    result, problem = None, ""
     try:
-        if (rig := attached_rig(session, session.path)) is not None:
-            result, problem = observations(survey, rig, labels=read_labels(session.path)), ""
+        result = paired(session, survey)
     except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         problem = one_line(str(exc))
     dwells = survey.dwells if result is None else result.dwells

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -13,7 +13,7 @@ from truearm import option_defaults
 from truearm.arguments import Checked
 from truearm.disk import check_outputs, write_atomic
 from truearm.errors import Argument, InputError
-from truearm.findings import entries
+from truearm.findings import Finding, entries, ordered, stated
 from truearm.kinds.rig_file import read_rig, write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
@@ -34,7 +34,7 @@ from truearm.plan.route import Visits
 from truearm.plan.route_program import check_joints, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.progress import step
-from truearm.report.plan_findings import approach_findings, forecast_findings
+from truearm.report.result_findings import held_frames
 from truearm.strict_json import number_or_null
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import DEG, MM, MRAD
@@ -219,7 +219,10 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
         "minutes": route.minutes,
         "written": [str(path) for path in files.outputs],
     }
-    return {**document, "findings": entries(approach_findings(document))}
+    return {
+        **document,
+        "findings": entries([stated("planned-approaches", document, minutes=round(document["minutes"]))]),
+    }
 
 
 def knowledge_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Knowledge:
@@ -348,3 +351,36 @@ def forecast_document(forecast: Forecast) -> dict[str, Any]:
         "cartesian_worst_mm": None if forecast.cartesian is None else MM.of(float(forecast.cartesian.max())),
         "cartesian_relative": forecast.relative,
     }
+
+
+def forecast_findings(document: Mapping[str, Any], n_checks: int = 0) -> list[Finding]:
+    """Return the verdict, then what limits the plan. ``n_checks``: of the check poses that were asked for."""
+    return ordered([_planned(document), *_limits_of_plan(document, n_checks)])
+
+
+def _planned(document: Mapping[str, Any]) -> Finding:
+    rms, largest = document["cartesian_rms_mm"], document["cartesian_worst_mm"]
+    return stated(
+        "planned",
+        document,
+        visits=document["visits"] if document.get("visits", 1) > 1 else None,
+        checks=document.get("check_poses"),
+        lines=len(document.get("lines", ())),
+        minutes=round(document["minutes"]),
+        rms=None if rms is None else {"mm": rms},
+        largest=None if rms is None else {"mm": largest},
+        relative=rms is not None and document["cartesian_relative"],
+    )
+
+
+def _limits_of_plan(document: Mapping[str, Any], n_checks: int) -> Iterator[Finding]:
+    unseen, weak, defaults = document["null_space"], document["hardly_seen"], document["defaults"]
+    yield stated("planned-rank", document, unseen=len(unseen), weak=len(weak))
+    if "poses" in document and document["poses"] < document["rank"] + len(unseen):
+        yield Finding("few-poses", {"n": document["poses"]})
+    yield from held_frames(defaults)
+    if defaults["lost"] or defaults["believed"]:
+        yield stated("planned-held", defaults)
+    checks = document.get("check_poses", 0)
+    if n_checks not in (option_defaults.CHECK_POSES, checks):
+        yield Finding("fewer-checks", {"asked": n_checks, "planned": checks, "visits": document["visits"] > 1})

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
+from truearm.findings import Finding, entries, ordered, stated
 from truearm.live.session_progress import check_mounted
 from truearm.model.robot import Robot
 from truearm.progress import step
@@ -64,13 +65,16 @@ def relabel(
     for path in saved:
         labels = [label for stop, label in labelled if stop.place[0] == path]
         write_labels(path, labels, trust or "named", "" if robot is None else robot.chain.name)
-    return {
+    document = {
         "sessions": [path.name for path in paths],
         "saved": [str(labels_path(path)) for path in saved],
         "dwells": len(stops),
         "with_reading": sum(not stop.dwell.reason for stop in stops),
         "left_out": left_out,
     }
+    open_dwells = [Finding("dwell-left-out", row) for row in left_out]
+    following = Finding("labels-written" if saved else "labels-next")
+    return {**document, "findings": entries(ordered([stated("labels", document), *open_dwells, following]))}
 
 
 def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing | None, p: float) -> DwellLabel:

@@ -38,29 +38,25 @@ def reasons_text(rejected: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
 
 
-def nothing_observed(path: Path, dwells: Mapping[str, int], passes: Mapping[str, int], planned: bool) -> str:
-    """Return a sentence: a session gave no observation, why not, and which command helps.
+def nothing_observed(path: Path, dwells: Mapping[str, int], passes: Mapping[str, int], planned: bool) -> SessionError:
+    """Return the error of a session that gave no observation: why not, and which command helps.
 
     ``dwells`` and ``passes`` along lines: the rejected ones by reason. ``planned``: the session has a plan.
     """
     from truearm.session.dwells import needs_decision
 
-    name = shlex.quote(one_line(str(path)))
     kinds = (("dwell", "dwells", dwells), ("motion along a line", "motions along a line", passes))
-    rejections = [
-        f"{counted(sum(reasons.values()), singular, many)} ({reasons_text(reasons)})"
-        for singular, many, reasons in kinds
-        if reasons
+    rejected = [
+        f"{counted(sum(reasons.values()), *nouns)} ({reasons_text(reasons)})" for *nouns, reasons in kinds if reasons
     ]
-    if not rejections:
-        return f"{path}: no dwell and no motion along a line was found; see truearm inspect {name}"
-    settled = sum(n for reason, n in dwells.items() if needs_decision(reason, planned))
-    helps = [f"decide what was mounted with truearm session relabel {name}"] * bool(settled)
-    if settled < sum(dwells.values()) + sum(passes.values()):
-        helps.append(f"truearm inspect {name} shows why{' the others were rejected' * bool(settled)}")
+    undecided = sum(n for reason, n in dwells.items() if needs_decision(reason, planned))
+    others = sum(dwells.values()) + sum(passes.values()) - undecided
     # One wrong label is a slip of the operator. If no reading fits its label, the prediction is wrong.
-    wrong = "check that robot and rig are those that were measured; if so, " * (set(dwells) == {DOUBTFUL})
-    return f"{path}: no observation from {' and '.join(rejections)}; {wrong}{'; '.join(helps)}"
+    helps = {"none_fits": set(dwells) == {DOUBTFUL}, "others": undecided and others, "unexplained": not undecided}
+    file = shlex.quote(one_line(str(path)))
+    return SessionError(
+        "no-observation", place=path, rejected=" and ".join(rejected), undecided=undecided, file=file, **helps
+    )
 
 
 def is_session(path: Path) -> bool:
@@ -87,6 +83,16 @@ def recorded_rig(session: Session, path: Path) -> Rig:
     if rig is None:
         raise RigError("no-rig", place=path)
     return rig
+
+
+def paired(session: Session, survey: Survey, rig: Rig | None = None) -> SyncResult:
+    """Return the observations of a survey, by the recorded rig if none is given. Raises InputError if there are none."""
+    from truearm.session.observations import observations
+
+    rig = rig or attached_rig(session, session.path)
+    if rig is None:
+        raise InputError("was recorded without a rig; give a rig to get observations")
+    return observations(survey, rig, session.path.name, labels=read_labels(session.path))
 
 
 def surveyed(session: Session, messages: Source | None = None) -> Survey:
@@ -127,7 +133,7 @@ def observations_of_session(
         raise exc.within(path) from exc
     if not len(result.table) and not may_be_empty:
         planned = result.survey.marks.plan() is not None
-        raise SessionError(nothing_observed(path, result.reasons, result.pass_reasons, planned))
+        raise nothing_observed(path, result.reasons, result.pass_reasons, planned)
     return result
 
 
