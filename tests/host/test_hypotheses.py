@@ -221,6 +221,25 @@ def test_a_tilt_that_need_not_show_is_listed_with_its_size():
     assert 1e-4 < result.claim.unseen["base.tilt.drift"]["rad"] < 5e-4
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize(("size", "share"), [(0.5e-3, 0.954), (1e-3, 0.92)])
+def test_what_a_chuck_that_is_elsewhere_does_not_show_is_covered(size, share):
+    """Out of the plane of all chucks the base follows. Of 1 mm in a random direction, Student's t covers that part in 92 %."""
+    world, rng = worlds.world("puma560", "clean", 0), np.random.default_rng(0)
+    fit, estimate = fitted(world)
+    offset, free = hypothesis_of(fit, "chuck.c1.offset"), estimate.free
+    gram = tool_gram(world.site.chain, world.site.rig, world.table, estimate)
+    covered = []
+    for _ in range(250):
+        shift = offset.candidate(0) @ (size / TYPICAL["m"] * worlds.direction(rng))
+        of = replace(fit, residual=shift + rng.normal(size=fit.residual.size))
+        result = searched(build_design(of, DECLARED, of.wide_prior), [offset], build_design(of, DECLARED, of.prior))
+        average = averaged(result, gram, estimate.covariance[np.ix_(free, free)])
+        if result.detections:
+            covered.append(average.moves(result.response @ of.residual) < 2.0 * average.error())
+    assert np.mean(covered) > share - 2.0 * np.sqrt(share * (1.0 - share) / len(covered))
+
+
 def of_recipe(robot, seed, noncentrality=30.0):
     """Return a world with the fault of the recipe as large as noise makes it visible: β² M = noncentrality."""
     of = worlds.site(robot)

@@ -184,11 +184,15 @@ def test_many_poses_determine_laws_that_the_geometry_does_not_move(monkeypatch):
 @pytest.mark.soak
 @pytest.mark.parametrize(("several", "low", "high"), [(1, 0.90, 0.98), (3, 0.92, 0.99)])
 def test_predicted_points_are_covered(several, low, high):
-    """k = 2 of 0.954 due; variances that are held at their optimum cost some of it, and what is shared by three points of a pose widens the band."""
+    """k = 2 of 0.954 due; variances that are held at their optimum cost some of it, and what is shared by three points of a pose widens the band.
+
+    The mean over the worlds has a standard error of its own, of which two are added to the upper limit.
+    """
     found = covered_worlds(range(WORLDS), 400, several)
     inside, nees, outside, _ = found.mean(axis=0)
-    assert low <= inside <= high
-    assert low <= outside <= high
+    high_inside, _, high_outside, _ = high + 2.0 * found.std(axis=0, ddof=1) / np.sqrt(WORLDS)
+    assert low <= inside <= high_inside
+    assert low <= outside <= high_outside
     assert found[:, [0, 2]].min() >= 0.75
     assert nees <= 1.5
 
