@@ -214,13 +214,8 @@ class Clock:
         x = stamps - self.stamp_ref
         course = steady.course_at(x.astype(float))
         wander = min(steady.course_wander or RATE_LIMIT, RATE_LIMIT)
-        return Band(
-            x.astype(float),
-            earliest - self.time_ref - x - course,
-            latest - self.time_ref - x - course,
-            -wander,
-            wander,
-        )
+        low, high = (times - self.time_ref - x - course for times in (earliest, latest))
+        return Band(x.astype(float), low, high, -wander, wander)
 
     def to_stamp(self, times: Ints) -> Ints:
         """Return the stamps (n,) [ns] at times (n,) [ns]."""
@@ -328,8 +323,5 @@ def _joined(
     """Return the range (x, low, high) that a row leaves of one before it; None if they contradict each other."""
     (x_before, lowest, highest), (x, low, high) = range_before, row
     lowest, highest = lowest + rows.slow * (x - x_before), highest + rows.fast * (x - x_before)
-    return (
-        None
-        if low > highest + ROUNDING_NS or high < lowest - ROUNDING_NS
-        else (x, max(low, lowest), min(high, highest))
-    )
+    is_contradiction = low > highest + ROUNDING_NS or high < lowest - ROUNDING_NS
+    return None if is_contradiction else (x, max(low, lowest), min(high, highest))

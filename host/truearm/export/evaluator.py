@@ -29,15 +29,12 @@ def write_c(source: RobotToWrite) -> str:
     curves, sags = tables.pop("CURVES"), tables.pop("SAG")
     lines = [f"#define JOINTS {tables.pop('JOINTS')}", f"#define CURVES {len(curves)}", f"#define SAGS {len(sags)}"]
     empty_curve, empty_sag = (0, 0.0, 1.0, False, (0.0,)), (0, 0, (0.0, 0.0, 0.0), 0.0)  # C has no empty tables
-    joint, first, spacing, periodic, values = zip(*curves or [empty_curve], strict=True)
-    starts = np.cumsum([0, *map(len, values)])[:-1].tolist()
+    *columns, values = zip(*curves or [empty_curve], strict=True)
     counts = tuple(map(len, values))
-    tables |= {"CURVE_JOINT": joint, "CURVE_FIRST": first, "CURVE_SPACING": spacing, "CURVE_PERIODIC": periodic}
-    tables |= {
-        "CURVE_START": tuple(starts),
-        "CURVE_COUNT": counts,
-        "COEFFICIENTS": tuple(v for curve in values for v in curve),
-    }
+    starts = tuple(np.cumsum([0, *counts])[:-1].tolist())
+    names = ("CURVE_JOINT", "CURVE_FIRST", "CURVE_SPACING", "CURVE_PERIODIC", "CURVE_START", "CURVE_COUNT")
+    tables |= dict(zip(names, (*columns, starts, counts), strict=True))
+    tables["COEFFICIENTS"] = tuple(coefficient for curve in values for coefficient in curve)
     names = ("SAG_JOINT", "SAG_POINT", "SAG_GRAVITY", "SAG_COMPLIANCE")
     tables |= dict(zip(names, zip(*sags or [empty_sag], strict=True), strict=True))
     for name, value in tables.items():

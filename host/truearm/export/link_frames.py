@@ -8,6 +8,7 @@ the true joint angles by the joint law.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from truearm.model.chain_frames import far_frames
 from truearm.model.chain_structure import Joint
 from truearm.model.joint_law import JointLaw
 from truearm.model.joint_terms.term import Term
-from truearm.model.robot_mounting import mountings, own_law, own_links
+from truearm.model.robot_mounting import NONE, mountings, own_law, own_links
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 
@@ -71,19 +72,19 @@ def link_frames(chain: Chain, nominal: Floats, calibrated: Floats, with_mounting
     With ``with_mountings`` False they are left out: B and E are then identities.
     """
     links = own_links(chain, nominal, calibrated)
-    axes = [_TO_AXIS[motion[1]] for motion in chain.motions]
-    inner = [np.eye(4), *axes]
-    outer = [*axes, np.eye(4)]
-    turned = np.stack([a.T @ link @ b for a, link, b in zip(inner, links, outer, strict=True)])
-    mounted = mountings(chain, nominal, calibrated)
+    axes = [np.eye(4), *(_TO_AXIS[motion[1]] for motion in chain.motions), np.eye(4)]
+    turned = np.stack(
+        [axis.T @ link @ next_axis for link, (axis, next_axis) in zip(links, pairwise(axes), strict=True)]
+    )
+    mounted = mountings(chain, nominal, calibrated) if with_mountings else NONE
     return LinkFrames(
         name=chain.name,
         joints=chain.joints,
         links=turned,
         law=chain.law,
         params=own_law(chain, nominal, calibrated),
-        base=mounted.base if with_mountings else np.eye(4),
-        tool=mounted.tool if with_mountings else np.eye(4),
+        base=mounted.base,
+        tool=mounted.tool,
         base_frame=chain.base_frame,
         end_frame=chain.end_frame,
     )

@@ -18,16 +18,8 @@ def write(source: RobotToWrite) -> str:
     robot = source.robot
     check_gains(robot, "an MJCF")
     names = link_names(robot)
-    motions = [
-        *(joint_motion(joint, float(x)) for joint, x in zip(robot.joints, robot.offsets, strict=True)),
-        np.eye(4),
-    ]
-    origins = [
-        np.eye(4),
-        robot.base,
-        *(link @ motion for link, motion in zip(robot.links, motions, strict=True)),
-        robot.tool,
-    ]
+    motions = [joint_motion(joint, float(x)) for joint, x in zip(robot.joints, robot.offsets, strict=True)]
+    origins = [np.eye(4), robot.base, *map(np.matmul, robot.links, [*motions, np.eye(4)]), robot.tool]
     lines = [f"<mujoco model={quoteattr(robot.name)}>"]
     if source.comment:
         lines.append(f"  <!-- {source.comment.replace('--', '- -')} -->")

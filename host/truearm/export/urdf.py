@@ -172,7 +172,6 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
     """Return a URDF of a chain of any convention. Raises RobotError for gains, which a URDF cannot hold."""
     check_gains(robot, "a URDF")
     names = link_names(robot)
-    origins = [robot.links[0], *robot.links[1:-1]]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>"]
     if comment:
         lines.append(f"  <!-- {comment.replace('--', '- -')} -->")
@@ -180,7 +179,7 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
     joint_names = {joint.name for joint in robot.joints}
     ends = [_other_than(joint_names, name) for name in ("base_mounting", "flange", "tool_mounting")]
     lines += _joint(ends[0], "fixed", names[0], names[1], robot.base)
-    for i, (joint, origin) in enumerate(zip(robot.joints, origins, strict=True)):
+    for i, (joint, origin) in enumerate(zip(robot.joints, robot.links[:-1], strict=True)):
         kind, limit = joint.kind, ""
         if np.isfinite([joint.lower, joint.upper]).all():
             limit = f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" effort="0" velocity="0"/>\n'

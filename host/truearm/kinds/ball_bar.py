@@ -177,7 +177,9 @@ def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Ge
     readings = bars.q[:: max(len(bars) // TRIES, 1)][:TRIES]
 
     def rows(q: Floats, pairs: Sequence[tuple[str, str]]) -> ObservationTable:
-        return _trial(np.tile(q, (len(pairs), 1)), bar, [pair for pair in pairs for _ in range(len(q))])
+        """Return rows of each pair at q (n, j), of any length: the derivatives do not depend on the reading."""
+        chuck, sphere = np.repeat(pairs, len(q), axis=0).T
+        return trial_rows(np.tile(q, (len(pairs), 1)), "ball_bar", value=1.0, bar=bar, chuck=chuck, sphere=sphere)
 
     varied = rows(anywhere(chain, TRIES, rng), pairings)
     yield Proposal("poses", "measure more varied poses with the same chucks and spheres", rig, varied)
@@ -191,15 +193,6 @@ def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Ge
     text = "measure with one more {}, not in line with the others,"
     yield Proposal("chuck", text.format("chuck"), more_chucks, rows(readings, [(NEW, s) for s in spheres]))
     yield Proposal("sphere", text.format("sphere"), more_spheres, rows(readings, [(c, NEW) for c in chucks]))
-
-
-def _trial(q: Floats, bar: str, pairs: Sequence[tuple[str, str]]) -> ObservationTable:
-    """Return rows at q (n, j) with n pairs of chuck and sphere.
-
-    Their length is arbitrary, since the derivatives do not depend on the reading.
-    """
-    chuck, sphere = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
-    return trial_rows(q, "ball_bar", value=1.0, bar=bar, chuck=chuck, sphere=sphere)
 
 
 def _another(points: Sequence[tuple[float, float, float]]) -> Point:

@@ -1,6 +1,6 @@
 """Tables of observations: CSV with units in the column names, one observation per row (docs/reference/table-format.md).
 
-``files.csv_cells`` reads the columns that ``table_titles`` declares. ``check_values`` then checks the rows, as it does
+``kinds.csv_cells`` reads the columns that ``table_titles`` declares. ``check_values`` then checks the rows, as it does
 those of a table that was made in Python. Every error message names the file, the row (as an editor or a spreadsheet
 counts, with the header as row 1) and the column.
 """

@@ -56,7 +56,19 @@ class Chain(Structure):
     @cached_property
     def columns(self) -> Columns:
         """Return the columns of wrenches by which all derivatives are expressed."""
-        return _columns(self)
+        motions, law = self.motions, self.law
+        b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
+        of_law, changed, column = np.zeros((len(self.parameters), b)), [], 6
+        for motion, law_columns in zip(motions, law.columns, strict=True):
+            new = new_numbers(motion)
+            changed.append((new, np.eye(len(new), b, column)))
+            column += len(new)
+            parameters = law.of_column[law_columns]
+            of_law[parameters, column + np.arange(len(parameters))] = 1.0
+            column += len(parameters)
+        parameters, joints = np.array(law.constant, dtype=np.intp).reshape(-1, 2).T
+        axes = np.array([on_axis(motions[joint]) for joint in joints.tolist()], dtype=np.intp)
+        return Columns(of_law, changed, (parameters, joints, axes))
 
 
 class PointTrace(NamedTuple):
@@ -86,8 +98,7 @@ class PointDerivatives(NamedTuple):
 
 def forward(chain: Chain, params: Floats, q: Floats) -> Floats:
     """Return the pose of the end frame in the base frame, (…, 4, 4), for params (p,) and joint readings q (…, j)."""
-    frames = _far_frames(chain, params, q)
-    return frames[-1]
+    return _far_frames(chain, params, q)[-1]
 
 
 def joint_frames(chain: Chain, params: Floats, q: Floats) -> Floats:
@@ -292,23 +303,6 @@ def folded(chain: Chain, params: Floats) -> Folded:
 @lru_cache(maxsize=4)
 def _folded(chain: Chain, params: bytes, dtype: str) -> Folded:
     return fold(chain.constants, chain.columns, np.frombuffer(params, dtype))
-
-
-def _columns(chain: Chain) -> Columns:
-    """Return the columns of the chain's wrenches."""
-    motions, law = chain.motions, chain.law
-    b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
-    of_law, changed, column = np.zeros((len(chain.parameters), b)), [], 6
-    for motion, law_columns in zip(motions, law.columns, strict=True):
-        new = new_numbers(motion)
-        changed.append((new, np.eye(len(new), b, column)))
-        column += len(new)
-        parameters = law.of_column[law_columns]
-        of_law[parameters, column + np.arange(len(parameters))] = 1.0
-        column += len(parameters)
-    parameters, joints = np.array(law.constant, dtype=np.intp).reshape(-1, 2).T
-    axes = np.array([on_axis(motions[joint]) for joint in joints.tolist()], dtype=np.intp)
-    return Columns(of_law, changed, (parameters, joints, axes))
 
 
 def _far_frames(chain: Chain, params: Floats, q: Floats) -> list[Floats]:

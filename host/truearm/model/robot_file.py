@@ -87,13 +87,8 @@ def robot_file(robot: str) -> Path | None:
         of_maker = [names for maker, names in ROBOTS_OF.items() if maker in word]
         meant = difflib.get_close_matches(word, builtin_names(), n=1) or of_maker
         names = [*builtin_names(), "a .toml or .urdf file"]
-        raise RobotError(
-            "wrong-value",
-            place=Argument("robot"),
-            value=robot,
-            names=names,
-            meant=(meant and not path.suffix) and meant[0],
-        )
+        likely = meant[0] if meant and not path.suffix else ""
+        raise RobotError("wrong-value", place=Argument("robot"), value=robot, names=names, meant=likely)
     return path
 
 

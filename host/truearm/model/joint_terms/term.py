@@ -23,7 +23,7 @@ class Term(ABC):
     derivatives.
 
     A term that needs the robot's geometry uses the nominal one (``structure.links(structure.params_nominal)``,
-    ``frames.far_frames``). θ may depend on all joint readings but not on the identified links; otherwise the
+    ``chain_frames.far_frames``). θ may depend on all joint readings but not on the identified links; otherwise the
     derivatives by these would be incomplete.
     """
 
