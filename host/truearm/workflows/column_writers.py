@@ -72,6 +72,7 @@ def _write_csv(source: Path, path: Path) -> None:
 
 
 def _write_npz(source: Path, path: Path) -> None:
+    import pyarrow
     from pyarrow import compute, parquet, types
 
     with zipfile.ZipFile(path, "w") as archive, parquet.ParquetFile(source) as file:
@@ -80,7 +81,7 @@ def _write_npz(source: Path, path: Path) -> None:
                 lengths = (compute.max(compute.utf8_length(piece)).as_py() or 0 for piece in _pieces(file, field.name))
                 dtype = np.dtype(f"U{max([1, *lengths])}")
             else:
-                dtype = np.dtype(field.type.to_pandas_dtype())
+                dtype = pyarrow.array([], field.type).to_numpy(zero_copy_only=False).dtype
             header = {"descr": dtype.str, "fortran_order": False, "shape": (file.metadata.num_rows,)}
             with archive.open(f"{field.name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array_header_1_0(member, header)
