@@ -12,7 +12,7 @@ from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
 from truearm.live.keyboard import LONGEST, Typed
 from truearm.live.session_progress import SessionProgress
-from truearm.live.state import LiveState
+from truearm.live.state import LOSSES, LiveState
 from truearm.record.operator import Counters
 from truearm.session.joint_format import JointLine
 from truearm.types import Rig
@@ -160,7 +160,7 @@ class TestState:
             "4.0 s ago; silent for 3 s",
             "0.1 s ago",
             "5.0 s ago; silent for 3 s",
-            "6.0 s ago; lost; trying to reach it again",
+            f"6.0 s ago; {Finding('robot-lost').text()}",
             "0.1 s ago",
         ]
 
@@ -171,7 +171,7 @@ class TestState:
             (row,) = (row for row in session.state.rows if row.name == "robot")
             assert bool(row.alarms) == (not ok and not closed)
         (text,) = session.said
-        assert text.endswith("lost; trying to reach it again")
+        assert text.endswith(Finding("robot-lost").text())
         session = Session(plan(*PAIRS[:1]))
         session.state.progress.visit(np.zeros(2))
         for age_s, ok in ((0.1, True), (5.0, True), (6.0, False)):
@@ -182,7 +182,7 @@ class TestState:
         session = Session()
         for lost, restarts in ((0, 0), (3, 0), (4, 0), (5, 1)):
             session.look(counters=Counters(lost_frames=lost, restarts=restarts, samples=7))
-        assert session.said == ["frames lost on the link: 3; so far", "restarts of the box: 1; so far"]
+        assert session.said == [f"{LOSSES['lost_frames']}: 3; so far", f"{LOSSES['restarts']}: 1; so far"]
         session = Session()
         session.look(box_ok=False)
         session.look(file_losses=("s.mcap: was deleted",))
@@ -221,9 +221,8 @@ class TestState:
             view.box_temperature(degc)
             view.status(Session().status())
         (text,) = view.messages
-        assert text.startswith(
-            "box: recording, 0 s, 0 samples, shortest round trip 312 µs; the box is 5.0 °C warmer than when lvdt was calibrated"
-        )
+        assert text.startswith("box: recording, 0 s, 0 samples, shortest round trip 312 µs; ")
+        assert all(value in text for value in ("5.0 °C warmer", "lvdt"))
         assert "may be off by about 0.05 mm" in text
         unknown = state(purpose=Purpose(ball_bar=True), unchecked=True)
         unknown.approve(box())
