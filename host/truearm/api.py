@@ -35,6 +35,7 @@ from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan
 from truearm.plan.options import Budget
+from truearm.text import counted
 from truearm.types import Floats, Rig, Rigs
 from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
@@ -242,7 +243,7 @@ class SessionObservations(Displayed):
         return joint_readings(self.parts, self.allow_damaged)
 
     def _headline(self) -> str:
-        return f"{len(self.table)} observations, {len(self.lost)} losses"
+        return f"{counted(len(self.table), 'observation')}, {counted(len(self.lost), 'loss', 'losses')}"
 
     def _columns(self) -> Mapping[str, Any]:
         return self.table._columns()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
+from truearm.text import counted
 
 ROWS = 8  # shown of a table
 COLUMNS = 10
@@ -37,8 +38,9 @@ class Displayed:
         rows = ["".join(f"<td>{_cell(column[i])}</td>" for column in shown.values()) for i in range(min(n, ROWS))]
         head = "".join(f"<th>{escape(title)}</th>" for title in shown)
         table = "".join(f"<tr>{row}</tr>" for row in (head, *rows))
-        size = f"<p>{n} rows, {len(columns)} columns</p>" if columns else ""
-        return f"<p><b>{type(self).__name__}</b>: {escape(self._headline())}</p><table>{table}</table>{size}"
+        counts = f"<p>{counted(n, 'row')}, {counted(len(columns), 'column')}</p>"
+        shown_table = f"<table>{table}</table>{counts}" if columns else ""
+        return f"<p><b>{type(self).__name__}</b>: {escape(self._headline())}</p>{shown_table}"
 
     def to_pandas(self) -> Any:
         """Return the columns as a pandas.DataFrame, in SI units. Raises InputError if pandas is not installed."""

@@ -250,7 +250,14 @@ IDENTIFICATION: Mapping[str, Statement] = {
     "solver-recipe": warning("The solver {message}."),
     # joint laws
     "no-law": note(
-        "[Joint laws: {reason}.][Tried and dropped for too little evidence (fewer than 6 nats) or because they make regions left out worse, with their evidence in nats: {dropped}.][{tried:!}No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is fitted.][{none:!}No joint law is used: the geometry alone is fitted.]"
+        "[Joint laws: {reason}.][No joint laws: they are fitted with the solvers lm and map and the linear loss, not with {solver} and {loss}.][No joint laws: {rows:#row} are too few; {freedom} degrees of freedom beyond the geometry are needed.][No joint laws: {explained_by}, named above, explain the residuals; correct them first.][{larger:!}No joint laws: with them, larger residuals remain than with the geometry alone.][Tried and dropped for too little evidence (fewer than 6 nats) or because they make regions left out worse, with their evidence in nats: {dropped}.][{tried:!}No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is fitted.][{none:!}No joint law is used: the geometry alone is fitted.]"
+    ),
+    "no-sag": note(
+        "[Gravity is up to {apart:.1f} from its mean direction over the rows, and sag is fitted to one mounting at a time.||The torque of gravity does not vary at any joint: sag is unidentifiable.]"
+    ),
+    "no-curve": note(
+        "{joint} [covers {span:.1f}: too little for an error curve||is prismatic: it has no error curve].",
+        "[{span:!}Move it more.]",
     ),
     "law-kept": note(
         "{joint} {term}: {rms} RMS, evidence {nats:.0f} nats[, covered {covered}][, strongest cycles per turn: {periods}; the covered range resolves {resolution:.2g} cycles per turn][{short:!}, covered range too short for a spectrum]."
@@ -272,7 +279,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     "law-noise": note("Noise learned from the residuals: {terms}."),
     # what to do next
     "measure-next": advice(
-        "Next: {what} [{full_rank:!}to determine {n:#more parameter} better than a drawing||to identify {n:#more parameter}]: {names:4}."
+        "Next: measure {what} [{full_rank:!}to determine {n:#more parameter} better than a drawing||to identify {n:#more parameter}]: {names:4}."
     ),
     "correct-next": advice("Next: correct what the first lines name, then identify again."),
     "hold-out-next": advice(
@@ -485,8 +492,8 @@ SESSION: Mapping[str, Statement] = {
     ),
     "no-stops": refusal("Not usable: the robot never stood still.", WAIT),
     "session-not-evaluated": warning(
-        "Not evaluated: {dwells:#stop} and no observation, because {reason}.",
-        "Give {@rig} to truearm identify.",
+        "Not evaluated:[ {dwells:#stop} and] no observation, because {reason}.",
+        "[{dwells:!}Give {@rig} to truearm identify.]",
     ),
     "no-observations": refusal(
         "Not usable: no observation[ from {dwells:#dwell}][ ({planned:#pose} planned)][, none from {passes:#pass|passes} along lines]."
@@ -503,6 +510,16 @@ SESSION: Mapping[str, Statement] = {
         "[{place}: damaged||Damaged][{headers:!}: a CRC of the file does not match, although those of all its parts do; a header or the summary may be wrong.|| at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.]",
         "Copy the file again.[ There are {more:#more such place}.]",
     ),
+    "session-intact": result("{place}: is intact; there is nothing to recover, and nothing was written."),
+    "recovered": result(
+        "Saved: {messages:#message} over {duration:.1f}, [{samples:#sample}||no sample that can be used][, attached: {attachments}]. Lost: {lost:#message} by their numbers[, and what followed{cut_off:!}: at most a second if the recorder was killed][; {undescribed:#block} of samples without the box's description]. {unread_bytes:#byte is|bytes are} outside intact records."
+    ),
+    "further-parts": warning(
+        "{session} continues in {parts}, which were not read.",
+        "Give each part to this command[, and name each new file to later commands: they do not find parts from {out}].",
+    ),
+    "joints-added": result("{place}: {n:#joint reading} added, placed by their own times[{utc:!}|| and {@zero_s}]."),
+    "tables-written": result("{folder}: {tables:40}."),
     "foreign-datagrams": warning(
         "{n:#datagram|datagrams} from other addresses than the robot's not stored.",
         "Stop the program that sends them, or use another port.",
@@ -619,9 +636,39 @@ RECORDING: Mapping[str, Statement] = {
     "init-next": advice(
         "Next: [print {block} and place it as {drawing} shows||put what you measured of the rig into {rig}]; then {step}."
     ),
+    # what comes next in a project: why, and the command
+    "rig-next": advice(f"the rig is not described yet; {page('Build and measure the rig')}", "write {rig}"),
+    "seats-next": advice(
+        "{n:#row has|rows have} no joints yet; delete a row that you do not measure",
+        "write the joints of each seat of places.csv into {seats}, or truearm seats LOG",
+    ),
+    "plan-next": advice("there is no plan yet", "truearm plan ballbar {@minutes} 30"),
+    "record-next": advice(
+        "[{simulated:!}the last result says nothing about a real robot: its session is simulated||nothing is recorded yet; truearm simulate rehearses it without hardware]",
+        "truearm record",
+    ),
+    "recording-next": advice("the recording is under way", "type q and Enter in truearm record"),
+    "recover-next": advice("its recording was cut off", "truearm session recover {session}"),
+    "move-next": advice(
+        "it was recorded for {robot}, and truearm identify reads all sessions there", "move {session} out of {folder}"
+    ),
+    "identify-next": advice("{file} is not identified yet", "truearm identify {@hold_out} {hold_out}"),
+    "cause-next": advice(
+        "the last fit [{unusable:!}is not usable||did not converge]",
+        "[truearm inspect {session}||truearm identify {@details}]",
+    ),
+    "use-next": advice(
+        "the robot is identified; if no rows were held out, judge it first with truearm validate",
+        "truearm correct {result} PROGRAM {@out} CORRECTED",
+    ),
     "recorded": result(
         "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})]."
     ),
+    "robot-too-fast": warning(
+        "the robot sent more than could be stored[: {n:#reading is|readings are} missing||, so readings may be missing]",
+        "let it send fewer per second",
+    ),
+    "poses-lost": warning("{n:#visited pose} of the plan gave no observation", "truearm inspect {session} says why"),
     "seats-filled": result("{place}: {n:#row} filled with the joints of {n:#rest} of {shortest:.1f} to {longest:.1f}."),
     "controller-read": result(
         "{place}: the controller computes with [{as_drawn:!}the drawing of {model}||its own calibration, which differs from the drawing of {model} by {rms:.2f} RMS, at most {largest:.2f} and {turn:.3f}, over {n:#random pose}][; checksums {checksums}]."
@@ -663,6 +710,10 @@ BOX: Mapping[str, Statement] = {
     ),
     "test-passed": result("{verdict}: {title}: {value}."),
     "box-fault": warning("{fault}[{recorded:!}; its samples are recorded anyway]"),
+    "flashed": result(
+        "{drive}: {image} written ({size} KiB for the {chip}: [{other:!}a MicroPython without the box's firmware, or something else||the box's firmware][ {version}])[; the box answers: {box}]."
+    ),
+    "boot-drive": advice("{drive}: a chip in its boot loader", "flash it with truearm box flash {@drive} {drive}"),
     "other-firmware": warning(
         "The image has {image}, but the box runs {box}: firmware files on its flash take precedence."
     ),
@@ -761,7 +812,7 @@ VALIDATION: Mapping[str, Statement] = {
     ),
 }
 
-CERTIFIED = "{error:.3g}[, twice the RMS error of {rows:#row}|| (k = 2) at the tool in the measured region]"
+CERTIFIED = "{error:.3g}[, twice the RMS error of {rows:#row}|| (k = 2) at the tool in the measured region][ (the larger of the expanded uncertainty, {uncertainty:.3g}, and of twice the RMS error of {held_out:#held-out row}, {twice:.3g})]"
 
 CERTIFICATE: Mapping[str, Statement] = {
     # the decision

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from truearm.arguments import converted
 from truearm.display import Displayed
+from truearm.findings import Finding
 from truearm.types import Floats, Law, Payload, Residuals, as_column, not_left_out, rms
 from truearm.units import DEG, MM, MRAD
 
@@ -441,7 +442,7 @@ class LawStep(NamedTuple):
 class JointLaws:
     """The joint laws beyond offset and gain in an identification.
 
-    ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` explain, in sentences,
+    ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` are
     why other laws, or all of them, were not tried. The noise that was learned beside them is the estimate's ``scatter``.
     """
 
@@ -449,7 +450,7 @@ class JointLaws:
     kept: tuple[Law, ...]
     tried: tuple[TriedLaw, ...]
     steps: tuple[LawStep, ...]
-    reasons: tuple[str, ...]
+    reasons: tuple[Finding, ...]
     gravity: tuple[float, float, float]
     gravity_known: bool  # from the robot file; otherwise z is assumed to point up
     payloads: tuple[Payload, ...]  # the different ones of the fitted rows

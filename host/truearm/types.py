@@ -20,6 +20,7 @@ from truearm.arguments import Checked
 from truearm.display import Displayed
 from truearm.errors import PlanError
 from truearm.schema import Choice, Covariance, Direction, List, Matrix, Number, sigma
+from truearm.text import counted
 from truearm.units import KG, MM
 
 Floats = NDArray[np.float64]
@@ -267,7 +268,10 @@ class Rig(Displayed, Checked):
 
     def _headline(self) -> str:
         fields = ("chucks", "spheres", "bars", "sockets", "targets", "lines", "trackers", "planes", *self.entries)
-        return ", ".join(f"{len(self.named(field))} {field}" for field in fields if self.named(field)) or "empty"
+        counts = (
+            counted(len(self.named(field)), field.removesuffix("s"), field) for field in fields if self.named(field)
+        )
+        return ", ".join(counts) or "empty"
 
     def named(self, field: str) -> Any:
         """Return the entries of a type by field name: a field of this class, or a key of ``entries``."""

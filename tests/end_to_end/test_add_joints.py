@@ -82,8 +82,8 @@ def check(recorded, out):
 def test_a_table_whose_time_is_utc(recorded, tmp_path, out, printed):
     before = hashlib.sha256(recorded.bare.read_bytes()).hexdigest()
     table = csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns, recorded.q)
-    said = printed("session", "add-joints", recorded.bare, table, "--out", out)
-    assert f"{len(recorded.t)} joint readings added, placed by their own times" in said
+    said = listed(json.loads(printed("session", "add-joints", recorded.bare, table, "--out", out, "--json")))
+    assert (said["joints-added"]["n"], said["joints-added"]["utc"]) == (len(recorded.t), True)
     check(recorded, out)
     assert hashlib.sha256(recorded.bare.read_bytes()).hexdigest() == before
     old, new = open_session(recorded.bare), open_session(out)

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
+from tests.host.findings_bench import listed
 
 from truearm import __version__
 from truearm.box.conversation import conversation
@@ -163,7 +164,7 @@ def test_boxes_are_listed_by_their_usb_identity(monkeypatch, printed):
 
 
 def test_nothing_to_list(no_ports, printed):
-    assert "no box was found" in printed("box", "list")
+    assert listed(json.loads(printed("box", "list", "--json"))).keys() == {"no-box-plugged-in"}
 
 
 # --- monitor

@@ -1,7 +1,10 @@
 """``truearm box flash`` with a box in real time and a boot drive."""
 
+import json
+
 import pytest
 from tests.end_to_end.box_server import BootDrive, box, served
+from tests.host.findings_bench import listed
 from tests.host.test_box_uf2 import image
 
 from truearm import __version__
@@ -13,11 +16,11 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, printed):
     path, drive = tmp_path / "box.uf2", tmp_path / "media" / "RPI-RP2"
     path.write_bytes(image())
     with served(drive=drive) as (device, _, shown):
-        said = printed("box", "flash", path, "--box", device, "--drive", drive)
+        said = listed(json.loads(printed("box", "flash", path, "--box", device, "--drive", drive, "--json")))
         assert shown.written == image()
-    assert "RP2040, 1 KiB in 4 blocks: the box's" in said
-    assert "it enters its boot loader" in said
-    assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware " + __version__)
+    flashed = said["flashed"]
+    assert (flashed["chip"], flashed["size"], flashed["other"]) == ("RP2040", 1, False)
+    assert flashed["box"].startswith("truearm box e6614103e7452b2f, firmware " + __version__)
 
 
 @pytest.mark.parametrize("version", [__version__, "0.10.0"])
@@ -25,10 +28,10 @@ def test_the_firmware_that_answers_is_compared_with_the_images(tmp_path, no_port
     path, drive = tmp_path / "box.uf2", tmp_path / "RPI-RP2"
     path.write_bytes(image(mark=f"truearm_box {version}".encode()))
     with served(drive=drive) as (device, _, _):
-        said = printed("box", "flash", path, "--box", device, "--drive", drive)
-    assert f" firmware {version}\n" in said
+        said = listed(json.loads(printed("box", "flash", path, "--box", device, "--drive", drive, "--json")))
+    assert said["flashed"]["version"] == version
     # The box that comes up is the simulated one, whatever was written.
-    assert (f"{version}, but " in said) == (version != __version__)
+    assert ("other-firmware" in said) == (version != __version__)
 
 
 def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
@@ -36,7 +39,9 @@ def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
     path.write_bytes(image(mark=b"MicroPython alone"))
     drive.mkdir()
     assert box("flash", path, "--drive", drive) == 2
-    assert "boot drive" in capsys.readouterr().err
+    refused = capsys.readouterr()
+    assert "boot drive" in refused.err
+    assert not refused.out
     (drive / "INFO_UF2.TXT").write_text(BootDrive.INFO.replace("RPI-RP2", "RP2350"))
     assert box("flash", path, "--drive", drive) == 2
     assert "for RPI-RP2" in capsys.readouterr().err

@@ -78,7 +78,7 @@ def unseen_and_advised(result, text, rank, advice, promised=None):
 
 def advised_by_kind(result):
     """The values of the advice what to measure, by the kind of the proposal."""
-    kinds = {addition["text"]: addition["kind"] for addition in result["additions"]}
+    kinds = {addition["text"].removeprefix("measure "): addition["kind"] for addition in result["additions"]}
     values = [of["values"] for of in result["findings"] if of["code"] == "measure-next"]
     return {kinds[advice["what"]]: advice for advice in values}
 

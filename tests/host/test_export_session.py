@@ -371,10 +371,10 @@ def test_a_urdf_with_two_ends(made, tmp_path, capsys):
 
 def test_samples_are_those_that_inspect_counts(made, tmp_path, capsys):
     _, said = export(made[1], tmp_path / "x")
-    printed = capsys.readouterr().out
+    printed = " ".join(capsys.readouterr().out.split())
     assert main(["inspect", str(made[1]), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     for stream in document["streams"]:
         assert said["tables"][f"box_{stream['name']}.csv"]["rows"] == stream["samples"]
-        assert f"box_{stream['name']}.csv: {stream['samples']} samples" in printed
+        assert f"box_{stream['name']}.csv ({stream['samples']} samples)" in printed
     assert sum(stream["samples"] for stream in document["streams"]) == document["losses"]["samples"] > 0

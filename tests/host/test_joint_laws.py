@@ -249,7 +249,7 @@ def test_too_few_rows_and_still_joints_are_said():
     assert found.estimate.joint_laws.kept == ()
     few = identified_with(table.select(np.arange(12) < 9), np.zeros(9, dtype=bool), "auto")
     for one in (found, few):
-        assert "too few" in one.estimate.joint_laws.reasons[0]
+        assert one.estimate.joint_laws.reasons[0].values.keys() == {"rows", "freedom"}
         assert [of.code for of in law_findings(one.document)][1] == "no-law"
 
 
@@ -268,7 +268,7 @@ def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
     turned = np.where(np.arange(160)[:, None] % 2, 9.81 * leaning, (0.0, 0.0, -9.81))
     both = identified_with(table.replace(gravity=turned), np.zeros(160, dtype=bool), "sag").estimate
     assert both.joint_laws.kept == ()
-    assert "20.1 deg" in both.joint_laws.reasons[0]
+    assert both.joint_laws.reasons[0].values["apart"]["deg"] == pytest.approx(20.1, abs=0.05)
 
 
 HELD = np.array([0.0, 0.06, 0.12])  # m, centre of the payloads in the end frame

@@ -197,7 +197,6 @@ def test_a_function_gets_si():
 WITHOUT_JSON = {
     "simulate": "it prints the ports for the recorder, and writes a session",
     "box reset": "the result is the exit code",
-    "box flash": "the result is the exit code",
     "box gauge": "it asks its operator; box config get --json prints the calibration",
     "box monitor": "a display without an end",
 }

@@ -190,8 +190,8 @@ def test_what_a_held_up_robot_lost(lab, path, drops, counts, skipped, says):
     say = robot.say
     robot.say = lambda line: None if 10 <= (json.loads(line)["t"] - 100) / 0.008 + 0.5 < 10 + skipped else say(line)
     summary = run(lab, Box(lab), path, seconds=3.0, robot=robot.link)
-    missing = what_is_missing(summary, with_robot=True)
-    assert (says in missing) if says else missing == ""
+    missing = [finding.text() for finding in what_is_missing(summary, with_robot=True)]
+    assert (says in missing[0]) if says else missing == []
 
 
 def at(now_ns):

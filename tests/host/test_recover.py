@@ -1,6 +1,7 @@
 """`truearm session recover`: a new, complete session with all intact data of a damaged one, and a list of the losses."""
 
 import hashlib
+import json
 import os
 import random
 import re
@@ -11,6 +12,7 @@ import sys
 import pytest
 from mcap.reader import SeekingReader
 from test_session import chunks_of, written
+from tests.host.findings_bench import listed
 from tests.refusals import ended, refused
 
 from truearm.cli.main import main
@@ -57,7 +59,7 @@ def test_one_damaged_chunk(made, tmp_path, printed):
     damaged[chunks[2].chunk_start_offset + 100] ^= 1
     path.write_bytes(damaged)
     before = hashlib.sha256(damaged).hexdigest()
-    said = printed("session", "recover", path)
+    document = json.loads(printed("session", "recover", path, "--json"))
     assert hashlib.sha256(path.read_bytes()).hexdigest() == before
     out = tmp_path / "s-recovered.mcap"
     session = open_session(out)
@@ -67,8 +69,11 @@ def test_one_damaged_chunk(made, tmp_path, printed):
     assert lost == chunks[2].holds
     for topic in {m.topic for m in messages}:
         saved, missing = (sum(m.topic == topic for m in those) for those in (read, lost))
-        assert f"{topic:<12}  {saved}" + (f", {missing} lost" if missing else "") + "\n" in said
-    assert f"from {1e-9 * (chunks[1].message_end_time - chunks[0].message_start_time):.1f} s on" in said
+        assert document["topics"][topic] == {"saved": saved, "lost": missing}
+    shown = listed(document)
+    assert (shown["recovered"]["messages"], shown["recovered"]["lost"]) == (len(read), len(lost))
+    begin_s = 1e-9 * (chunks[1].message_end_time - chunks[0].message_start_time)
+    assert shown["session-damaged"]["from_s"] == pytest.approx(begin_s)
     assert session.attachments == {"rig.toml": b"x = 1\n"}
     assert session.metadata["session-end"]["reason"] == "test"
     assert session.metadata["recovered"]["sha256"] == before
@@ -112,7 +117,7 @@ def test_cut_anywhere(made, tmp_path, n):
 
 def test_what_is_whole_is_left_alone(made, tmp_path, printed):
     *_, path = made
-    assert "intact" in printed("session", "recover", path)
+    assert listed(json.loads(printed("session", "recover", path, "--json"))).keys() == {"session-intact"}
     assert os.listdir(tmp_path) == ["s.mcap"]
 
 

@@ -164,9 +164,8 @@ class TestOneMissedEnter:
         found = recorded_dwells(path)
         assert (found.dwells, found.need_decision) == (40, 29)
         assert found.unusable in ({}, {"rail": 1})
-        said = unsettled(found, path)
-        assert said.startswith("29 dwells ")
-        assert said.endswith(f"truearm session relabel {path}")
+        (said,) = unsettled(found, path)
+        assert (said.code, said.values["n"], said.values["path"]) == ("doubtful-dwells", 29, [str(path)])
 
     def test_trusting_the_plan(self, path, capsys, plan):
         data = path.read_bytes()

@@ -66,10 +66,10 @@ def with_spread(value: float, spread: float, unit: str) -> str:
     return f"{value:.6f} {unit} ± {micro(unit).text(spread, '.1f')}"
 
 
-def port_lines(rows: Sequence[dict[str, Any]], drives: Sequence[str]) -> list[str]:
+def port_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
     """Format a table of ports and what answered there."""
-    lines = [f"{drive}: a chip in its boot loader; flash it with truearm box flash IMAGE.uf2" for drive in drives]
+    lines = []
     for row in rows:
         usb = f" ({row['usb']} {row['product']})".replace("( ", "(") if row["usb"] or row["product"] else ""
         lines.append(one_line(f"{row['device']}{usb}: {row['answer']}"))
-    return lines or ["no box was found; is it plugged in? A box without firmware needs truearm box flash"]
+    return lines

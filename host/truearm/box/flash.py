@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from truearm.box.boot_drive import board_of, find_drives, wait_for, write_image
@@ -20,27 +19,26 @@ from truearm_wire.messages import BOOT_LOADER
 _SHORT = 4  # attempts of half a second, repeated
 
 
-def flash_box(options: FlashOptions) -> Iterator[str | Finding]:
-    """Flash a box and wait for its answer; yields one line per step, and warnings. Raises InputError, ImageError, LinkError."""
+def flash_box(options: FlashOptions) -> list[Finding]:
+    """Flash a box and wait for its answer; return what was written and what answers. Raises InputError, ImageError, LinkError."""
     earlier_ports = {port.device for port in usb_ports()} - {options.box}
     path = options.image or own_image()
     image = read_uf2(path)
-    content = f"the box's firmware {image.version}".rstrip()
-    if not image.is_box:
-        content = "a MicroPython without the box's firmware, or something else"
-    yield f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {content}"
-    drive = yield from _drive_for(path, image, options)
+    drive = _drive_for(path, image, options)
     with step(f"writing {path.name}"):
         write_image(image, drive, path.name)
-    yield f"{drive}: written; the box restarts"
+    written = {"image": str(path), "drive": str(drive), "chip": image.chip.name, "size": image.size // 1024}
+    written |= {"other": not image.is_box, "version": image.version, "box": None}
     if options.no_check:
-        return
+        return [Finding("flashed", written)]
     with step(f"waiting for the box, {options.timeout:g} s at most"):
-        ident = _wait_for_box(options.box, earlier_ports, options.timeout)
-    yield f"it answers: {one_line_of(ident)}"
-    if image.version and ident.firmware != image.version:
-        yield Finding("other-firmware", {"image": image.version, "box": ident.firmware})
-    yield from (Finding("box-fault", {"fault": fault}) for fault in ident.faults)
+        ident = _wait_for_box(options.box, earlier_ports, options.timeout, drive)
+    other = image.version and ident.firmware != image.version
+    return [
+        Finding("flashed", {**written, "box": one_line_of(ident)}),
+        *([Finding("other-firmware", {"image": image.version, "box": ident.firmware})] if other else []),
+        *(Finding("box-fault", {"fault": fault}) for fault in ident.faults),
+    ]
 
 
 def own_image() -> Path:
@@ -53,7 +51,7 @@ def own_image() -> Path:
     raise InputError(f"{name} is not part of this installation; give the image to flash (make uf2 builds one)")
 
 
-def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str, None, Path]:
+def _drive_for(path: Path, image: Image, options: FlashOptions) -> Path:
     """Return the boot drive to write to; a running box is first asked to present it."""
     device, drive, timeout = options.box, options.drive, options.timeout
     earlier_drives = find_drives(image.chip.board) if drive is None else []
@@ -61,7 +59,6 @@ def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str
         return drive or _only(earlier_drives)
     if drive is None or board_of(drive) is None:
         with conversation(device, stop=options.stop) as box:
-            yield f"{device}: {one_line_of(box.ident)}; it enters its boot loader"
             box.reset(BOOT_LOADER)
 
     def appeared() -> Path | None:
@@ -91,7 +88,7 @@ def _only(drives: list[Path]) -> Path:
     return drives[0]
 
 
-def _wait_for_box(device: str | None, earlier_ports: set[str], timeout: float) -> Ident:
+def _wait_for_box(device: str | None, earlier_ports: set[str], timeout: float, drive: Path) -> Ident:
     """Return the ident of the box that starts, at ``device`` or at a port that is not among ``earlier_ports``. Raises
     LinkError.
     """
@@ -108,7 +105,7 @@ def _wait_for_box(device: str | None, earlier_ports: set[str], timeout: float) -
         return None
 
     if (ident := wait_for(answering, timeout)) is None:
-        raise LinkError(f"no box answered within {timeout:g} s{reason}; see truearm box list")
+        raise LinkError(f"{drive}: written, but no box answered within {timeout:g} s{reason}; see truearm box list")
     return ident
 
 

@@ -28,7 +28,7 @@ from truearm.cli.project import CommandGroup
 from truearm.disk import check_writable, read_text, write_atomic
 from truearm.errors import ConfigError, InputError, TruearmError
 from truearm.exit_codes import ExitCode
-from truearm.findings import Finding, ordered
+from truearm.findings import Finding, entries, option, ordered
 from truearm.live.choose_box import choose_box
 from truearm.record.ports import usb_ports
 from truearm_wire.messages import RESTART
@@ -66,7 +66,11 @@ def list_boxes(*, all: bool = False) -> Answer:
     ports = [port for port in usb_ports() if port.candidate or all]
     rows = [_asked(port) for port in ports]
     drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
-    return Answer({"ports": rows, "boot_drives": drives}, port_lines(rows, drives))
+    stated = [Finding("boot-drive", {"drive": drive}) for drive in drives]
+    if not rows and not drives:
+        stated = [Finding("no-box-plugged-in")]
+    document = {"ports": rows, "boot_drives": drives, "findings": entries(stated)}
+    return Answer(document, [*(finding.text(option) for finding in stated), *port_lines(rows)])
 
 
 def _asked(port: Any) -> dict[str, Any]:
@@ -211,7 +215,7 @@ def _edit(change: str) -> Callable[[configuration.Values], configuration.Values]
 
 
 @command(app)
-def flash(options: FlashOptions) -> None:
+def flash(options: FlashOptions) -> Answer:
     """Flash a box, then check that it answers.
 
     truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With --box, a running
@@ -242,7 +246,8 @@ def flash(options: FlashOptions) -> None:
     no_check
         Do not wait for the box to answer.
     """
-    print_lines(flash_box(options))
+    stated = flash_box(options)
+    return Answer({"findings": entries(stated)}, details_hint="")
 
 
 @command(app)

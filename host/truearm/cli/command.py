@@ -97,7 +97,7 @@ SHARED = described(options.__doc__, options.TEXTS)[1]
 class Answer:
     """What a command answers: the ``document`` of ``--json``, and what is printed without it.
 
-    These are ``lines``, or findings with the ``tables`` of ``--details`` and the files that were ``written``; findings and
+    These are ``lines`` (with ``--details``: the ``tables``), or findings with the ``tables`` of ``--details`` and the files that were ``written``; findings and
     files are the document's by default.
     ``details_hint`` says how to get the rest. ``end`` is the exit code, or the error that is raised after printing.
     """
@@ -117,7 +117,7 @@ class Answer:
         if as_json:
             print_json(self.document)
         elif self.lines is not None:
-            print_lines(self.lines)
+            print_lines(map(str, self.tables) if details else self.lines)
         else:
             usual = "" if details is None else "All notes and tables: --details"
             hint = usual if self.details_hint is None else self.details_hint

@@ -254,10 +254,12 @@ def record(request: RecordOptions) -> Answer:
     unchecked
         Record even if the box cannot measure what the plan or rig requires.
     """
+    from truearm.findings import findings_of
     from truearm.workflows.record import record_request, recording_document
 
     request = replace(request, project_model=project_model(Path.cwd()))
     recorded = record_request(request, sys.stderr, lambda text: click.echo(text, err=True))
+    document = recording_document(recorded)
     interrupted = recorded.summary.reason == "interrupted"
     end: ExitCode | IncompleteError = ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
     if recorded.trouble:
@@ -266,9 +268,10 @@ def record(request: RecordOptions) -> Answer:
         click.echo("interrupted before the box had started; nothing was recorded", err=True)
     elif recorded.missing:
         data_place = f"; the received data are in {recorded.out}" if recorded.is_kept else "; nothing was recorded"
-        named = recorded.is_kept and str(recorded.out) in recorded.missing
-        end = IncompleteError(recorded.missing if named else f"{recorded.missing}{data_place}")
-    return Answer(recording_document(recorded), end=end)
+        named = recorded.is_kept and str(recorded.out) in document["missing"]
+        end = IncompleteError(document["missing"] + ("" if named else data_place))
+    printed = [finding for finding in findings_of(document) if finding not in recorded.missing]  # the error has them
+    return Answer(document, findings=printed, end=end)
 
 
 @command(files=files_help())

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from truearm.bounds import OneOf
 from truearm.cli.command import Answer, command
-from truearm.cli.output import warn_of_further_parts
 from truearm.cli.project import CommandGroup
+from truearm.findings import Finding, entries
 from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.record.robots.sources import FileOptions, files_help
 from truearm.text import counted, one_line
 from truearm.workflows.requests import ExportSession
-
-if TYPE_CHECKING:
-    from truearm.record.recover import Recovered
 
 app = CommandGroup(
     "session",
@@ -40,43 +37,22 @@ def recover(session: Path, *, out: Path | None = None, force: bool = False) -> A
     -------
     out : FILE
         File to write: a session (default: NAME-recovered.mcap for NAME.mcap).
+    details
+        Print all damaged places, and what was saved and lost of each topic.
     """
-    from truearm.workflows.session_copies import recover_file, recovered_name
+    from truearm.report.tables import Table
+    from truearm.workflows.session_copies import recover_file, recovered_name, recovery_findings
+    from truearm.workflows.session_parts import further_parts
 
     out = out or recovered_name(session)
     recovered = recover_file(session, out, force)
     if recovered is None:
-        text = f"{one_line(str(session))}: is intact; there is nothing to recover, and nothing was written"
-        return Answer({"whole": True, "out": None}, [text])
-    warn_of_further_parts(session, f"later commands do not find them from {one_line(out.name)}; name each file")
-    reading = "every command reads it" if recovered.samples else "but no sample in it can be used"
-    written = f"{one_line(str(out))}: written, with all data that are intact; {reading}"
-    return Answer({"whole": False, "out": str(out), **asdict(recovered)}, [*lines(recovered), written])
-
-
-def lines(recovered: Recovered) -> list[str]:
-    """What was saved and what was lost, for people."""
-    from truearm.report.session_findings import damage_finding
-
-    messages, attachments = sum(account.saved for account in recovered.topics.values()), recovered.attachments
-    named = f"attachment {', '.join(map(one_line, attachments))}" if attachments else "no attachment"
-    counts = f"{counted(messages, 'message')} over {recovered.seconds:.1f} s, {counted(recovered.samples, 'sample')}"
-    text = [f"saved  {counts}, {named}"]
-    width = max((len(topic) for topic in recovered.topics), default=0)
-    for topic, account in recovered.topics.items():
-        lost = f", {account.lost} lost" if account.lost else ""
-        text.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
-    text += [f"lost   {damage_finding(vars(damage)).text()}" for damage in recovered.damage[:SHOWN]]
-    if len(recovered.damage) > SHOWN:
-        text.append(f"lost   and in {counted(len(recovered.damage) - SHOWN, 'place')} more")
-    if recovered.undescribed:
-        lost = counted(recovered.undescribed, "block of samples", "blocks of samples")
-        text.append(f"lost   what {lost} mean: the box's description of its channels was in a damaged place")
-    if recovered.cut_off:
-        reason = "its length is unknown (at most a second if the recorder was killed)"
-        text.append(f"lost   the end of the file, after {recovered.seconds:.1f} s: {reason}")
-    text.append(f"       {counted(recovered.unread_bytes, 'byte is', 'bytes are')} outside intact records")
-    return text
+        intact = [Finding("session-intact", {"place": str(session)})]
+        return Answer({"whole": True, "out": None, "findings": entries(intact)}, details_hint="")
+    stated = [*recovery_findings(recovered), *further_parts(session, out)]
+    document = {"whole": False, "out": str(out), **asdict(recovered), "findings": entries(stated)}
+    rows = [(one_line(topic), account.saved, account.lost) for topic, account in recovered.topics.items()]
+    return Answer(document, tables=[Table(("topic ", "saved", "lost"), rows)], written=[out])
 
 
 @command(app, "relabel")
@@ -157,19 +133,16 @@ def add_joints(
         Replace the joint readings that the session has.
     """
     from truearm.workflows.session_copies import AddJoints, add_joints_file, joint_names
+    from truearm.workflows.session_parts import further_parts
 
     joint_list = joint_names(joints, robot)
     options = FileOptions(topic, joint_list, allow_damaged, columns)
     files = AddJoints(session, source, out, options, zero, replace)
     count = add_joints_file(files, force)
     times = "UTC" if zero is None else "from --zero-s"
-    by = "their own times" if zero is None else "their own times and --zero-s"
-    warn_of_further_parts(
-        session,
-        f"add the joints to each of them; later commands do not find the new files from {one_line(out.name)}, so name each file",
-    )
-    text = f"{out}: {count} joint readings added, placed by {by}"
-    return Answer({"out": str(out), "readings": count, "times": times}, [text])
+    added = Finding("joints-added", {"place": str(out), "n": count, "utc": zero is None})
+    stated = [added, *further_parts(session, out)]
+    return Answer({"out": str(out), "readings": count, "times": times, "findings": entries(stated)})
 
 
 @command(app, "export")
@@ -192,15 +165,17 @@ def export_session(request: ExportSession) -> Answer:
         Format of the tables.
     """
     from truearm.workflows.export_session import export_session_files
+    from truearm.workflows.session_parts import further_parts
 
     document = export_session_files(request)
     tables = document["tables"]
     rows = {name: table["rows"] for name, table in tables.items()}
     nouns = {name: "sample" if "gap" in table["columns"] else "row" for name, table in tables.items()}
-    lines = [f"{one_line(str(request.out))}/{name}: {counted(n, nouns[name])}" for name, n in rows.items()]
-    lines += [f"no observations: {document['not_paired']}"] * bool(document["not_paired"])
-    warn_of_further_parts(request.session, "export each part separately: each has clocks of its own")
-    return Answer({"folder": str(request.out), "rows": rows, "not_paired": document["not_paired"]}, lines)
-
-
-SHOWN = 10  # damaged places that are listed
+    texts = [f"{name} ({counted(n, nouns[name])})" for name, n in rows.items()]
+    reason = document["not_paired"]
+    stated = [
+        Finding("tables-written", {"folder": str(request.out), "tables": texts}),
+        *([Finding("session-not-evaluated", {"dwells": 0, "reason": reason})] if reason else []),
+        *further_parts(request.session),
+    ]
+    return Answer({"folder": str(request.out), "rows": rows, "not_paired": reason, "findings": entries(stated)})

@@ -9,10 +9,13 @@ from typing import Any
 
 from truearm.cli.command import Answer, command
 from truearm.errors import InputError
-from truearm.text import counted, one_line, outcome, page
+from truearm.findings import Finding, entries, option, worded
+from truearm.text import counted, one_line, outcome
 from truearm.workflows.project_file import FILE, find_project
 
 State = dict[str, Any]
+
+SHOWN = 3  # sessions and results, so that at most 15 lines are printed
 
 
 @command()
@@ -22,6 +25,11 @@ def status() -> Answer:
     \b
     Example:
       truearm status
+
+    Options
+    -------
+    details
+        Print all sessions and results.
     """
     from truearm.workflows.project import state_of
 
@@ -29,11 +37,15 @@ def status() -> Answer:
     if file is None:
         raise InputError("no-project", file=FILE)
     state = state_of(file)
-    following, why = next(_steps(state))
-    return Answer({**state, "next": following, "why": why}, [f"next      {following} ({why})", *_lines(state)])
+    following = next(_steps(state))
+    why, step = (worded(template, following.values, option) for template in following.statement[1:])
+    document = {**state, "next": step, "why": why, "findings": entries([following])}
+    head = f"next      {step} ({why})"
+    return Answer(document, [head, *_lines(state, SHOWN)], tables=[head, *_lines(state)])
 
 
-def _lines(state: State) -> Iterator[str]:
+def _lines(state: State, most: int = 0) -> Iterator[str]:
+    """Describe a project, with the newest ``most`` of its sessions and results; 0: all."""
     project = state["project"]
     serial = f", serial {project['serial']}" * bool(project["serial"])
     missing = f"none ({project['rig']} is missing)"
@@ -44,8 +56,10 @@ def _lines(state: State) -> Iterator[str]:
     if seats := state["seats"]:
         yield f"seats     {_shown(seats['file'])}, {seats['noted']} of {seats['rows']} with joints"
     for title, word in (("sessions", _session), ("results", _result)):
-        yield f"{title:<10}{len(state[title]) or 'none'}"
-        yield from (f"          {word(row)}" for row in state[title])
+        shown = state[title][-most:]
+        newest = ", the newest of them (all: --details)" * (len(shown) < len(state[title]))
+        yield f"{title:<10}{len(state[title]) or 'none'}{newest}"
+        yield from (f"          {word(row)}" for row in shown)
 
 
 def _shown(file: str, current: str = os.curdir) -> str:
@@ -68,40 +82,37 @@ def _result(row: State) -> str:
     return f"{_shown(row['file'])}, {'simulated, ' * row['simulated']}{outcome(row['status'])}{why}{held}"
 
 
-def _steps(state: State) -> Iterator[tuple[str, str]]:
-    """Yield commands, the next one first, each with the reason."""
+def _steps(state: State) -> Iterator[Finding]:
+    """Yield what comes next, the first of these first."""
     sessions, results, project = state["sessions"], state["results"], state["project"]
     if state["rig"] is None:
-        yield f"write {project['rig']}", f"the rig is not described yet; {page('Build and measure the rig')}"
+        yield Finding("rig-next", {"rig": project["rig"]})
     if seats := state["seats"]:
         measured, hold_out = seats["file"], f"place={seats['last_place']}"
         if seats["noted"] < seats["rows"]:
-            why = f"{seats['rows'] - seats['noted']} rows have no joints yet; delete a row that you do not measure"
-            yield f"write the joints of each seat of places.csv into {_shown(measured)}, or truearm seats LOG", why
+            yield Finding("seats-next", {"seats": _shown(measured), "n": seats["rows"] - seats["noted"]})
     else:
         if not sessions and state["plan"] is None:
-            yield "truearm plan ballbar --minutes 30", "there is no plan yet"
+            yield Finding("plan-next")
         if not sessions:
-            yield "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
+            yield Finding("record-next")
         if any(row["written"] for row in sessions):
-            yield "type q and Enter in truearm record", "the recording is under way"
+            yield Finding("recording-next")
         for row in sessions:
             if not row["complete"]:
-                yield f"truearm session recover {_shown(row['file'])}", "its recording was cut off"
+                yield Finding("recover-next", {"session": _shown(row["file"])})
         for row in sessions:
-            if robot := row["other_robot"]:
-                why = f"it was recorded for {one_line(robot)}, and truearm identify reads all sessions there"
-                yield f"move {_shown(row['file'])} out of {project['sessions']}", why
+            if row["other_robot"]:
+                values = {"session": _shown(row["file"]), "robot": row["other_robot"], "folder": project["sessions"]}
+                yield Finding("move-next", values)
         measured, hold_out = sessions[-1]["file"], "0.2"
     results = [result for result in results if not result["simulated"]] or results  # a rehearsal counts for nothing
     if not results or os.stat(results[-1]["file"]).st_mtime < os.stat(measured).st_mtime:
-        yield f"truearm identify --hold-out {hold_out}", f"{Path(measured).name} is not identified yet"
+        yield Finding("identify-next", {"file": Path(measured).name, "hold_out": hold_out})
     result = results[-1]
-    if result["status"] != "converged" or result["unusable_because"] is not None:
-        why = "is not usable" if result["status"] == "converged" else "did not converge"
-        command = f"inspect {_shown(measured)}" if seats is None else "identify --details"
-        yield f"truearm {command}", f"the last fit {why}"
+    converged = result["status"] == "converged"
+    if not converged or result["unusable_because"] is not None:
+        yield Finding("cause-next", {"unusable": converged, "session": None if seats else _shown(measured)})
     if result["simulated"]:
-        yield "truearm record", "the last result says nothing about a real robot: its session is simulated"
-    corrected = f"truearm correct {_shown(result['file'])} PROGRAM --out CORRECTED"
-    yield corrected, "the robot is identified; if no rows were held out, judge it first with truearm validate"
+        yield Finding("record-next", {"simulated": True})
+    yield Finding("use-next", {"result": _shown(result["file"])})

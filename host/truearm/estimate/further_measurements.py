@@ -55,7 +55,7 @@ def additions(
         gained = np.flatnonzero(determined & ~taken).tolist()
         if gained:
             gained_names = tuple(names[i] for i in gained)
-            text = f"with the rig {prefix[:-1]}, {proposal.text}" if prefix else proposal.text
+            text = f"{proposal.text} with the rig {prefix[:-1]}" if prefix else proposal.text
             helpful.append(Addition(proposal.kind, proposal.names, int(determined.sum()), gained_names, text))
     return tuple(sorted(helpful, key=lambda a: -a.rank))
 

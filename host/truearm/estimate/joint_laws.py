@@ -40,6 +40,7 @@ from truearm.estimate.solution import rms_of
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.uncertainty import covariance_root, goodness
 from truearm.estimate.whitened_rows import gate, only
+from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
@@ -60,10 +61,8 @@ from truearm.units import UNITS
 MAX_ROUNDS = 6  # of fits with laws
 SMALLEST = 1e-2  # of the prior σ of a coefficient, that of its difference from the others if they are bound together
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
-ERRORS_EXPLAIN = (
-    "faults, named above, explain the remaining residuals better than joint laws do; correct or apply them first"
-)
-LARGER_RESIDUALS = "the fit with joint laws leaves larger residuals than the geometry alone"
+ERRORS_EXPLAIN = Finding("no-law", {"explained_by": "faults"})
+LARGER_RESIDUALS = Finding("no-law", {"larger": True})
 GEOMETRY, LAWS = "geometry", "laws"
 
 
@@ -194,17 +193,17 @@ def _takes_laws(estimate: Estimate) -> bool:
     return SOLVERS[estimate.solver].has_loss and estimate.loss == Loss.LINEAR
 
 
-def _why_none(chain: Chain, estimate: Estimate) -> str:
-    """Return why no laws are tried at all; "" if they are."""
+def _why_none(chain: Chain, estimate: Estimate) -> Finding | None:
+    """Return why no laws are tried at all; None if they are."""
     if not _takes_laws(estimate):
-        return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
+        return Finding("no-law", {"solver": str(estimate.solver), "loss": str(estimate.loss)})
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
-        return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
+        return Finding("no-law", {"rows": estimate.n_observations, "freedom": LEAST_FREEDOM})
     if estimate.faults and estimate.covariance_explains and not _joint_errs(chain, estimate):
         return ERRORS_EXPLAIN
     if estimate.without_bad_rows is not None:
-        return "bad rows, named above, explain the residuals; correct them or leave them out first"
-    return ""
+        return Finding("no-law", {"explained_by": "bad rows"})
+    return None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import InputError
 from truearm.estimate.solvers import LawMode
+from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
@@ -70,29 +71,26 @@ def gravity_of(table: ObservationTable, of_robot: tuple[float, float, float] | N
 
 def candidates(
     chain: Chain, q: Floats, mode: LawMode, gravity: Gravity, payloads: Sequence[Payload] = ()
-) -> tuple[list[Law], list[str]]:
-    """Return the laws to try for readings q (n, j), and a sentence for each joint that can have none.
+) -> tuple[list[Law], list[Finding]]:
+    """Return the laws to try for readings q (n, j), and why joints can have none.
 
     ``payloads`` are the different ones of the rows. A single one cannot be distinguished from the mass of the tool.
     """
     laws: list[Law] = []
-    reasons: list[str] = []
+    reasons: list[Finding] = []
     if mode in (LawMode.AUTO, LawMode.SAG) and gravity.apart > ONE_DIRECTION:
-        apart = DEG.text(gravity.apart, ".1f")
-        reasons.append(
-            f"gravity is up to {apart} from its mean direction over the rows: sag is fitted to one mounting at a time"
-        )
+        reasons.append(Finding("no-sag", {"apart": {"deg": DEG.of(gravity.apart)}}))
     elif mode in (LawMode.AUTO, LawMode.SAG):
         laws += _sags(chain, q, gravity.direction, payloads)
         if not laws:
-            reasons.append("the torque of gravity does not vary at any joint: sag is unidentifiable")
+            reasons.append(Finding("no-sag"))
     if mode in (LawMode.AUTO, LawMode.CURVE):
         for i, joint in enumerate(chain.joints):
             span = float(np.ptp(q[:, i]))
             if joint.kind != "revolute":
-                reasons.append(f"{joint.name} is prismatic: it has no error curve")
+                reasons.append(Finding("no-curve", {"joint": joint.name}))
             elif span < STILL:
-                reasons.append(f"{joint.name} covers {DEG.text(span, '.1f')}: too little for an error curve")
+                reasons.append(Finding("no-curve", {"joint": joint.name, "span": {"deg": DEG.of(span)}}))
             else:
                 laws.append(knots(i, q[:, i]))
     return laws, reasons

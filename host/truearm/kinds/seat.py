@@ -143,7 +143,7 @@ def proposals(chain: Chain, rig: Rig, table: ObservationTable, rng: np.random.Ge
     if len(q):
         yield Proposal(
             "place",
-            "seat a ball of the end in sockets at a new place",
+            "measure seats of a ball of the end in sockets at a new place",
             rig,
             trial_rows(q, "seat", sphere=ball.name, place=NEW),
         )

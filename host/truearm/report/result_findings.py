@@ -572,8 +572,9 @@ def law_findings(document: Document) -> Iterator[Finding]:
     laws = document["joint_laws"]
     if laws is None:
         return
-    for reason in laws["reasons"]:
-        yield Finding("no-law", {"reason": reason})
+    for reason in laws["reasons"]:  # a text in earlier results
+        is_text = isinstance(reason, str)
+        yield Finding("no-law", {"reason": reason}) if is_text else Finding(reason["code"], reason["values"])
     kept_laws = [law for law in laws["tried"] if law["kept"]]
     dropped = [law for law in laws["tried"] if not law["kept"]]
     if not kept_laws:
@@ -663,7 +664,8 @@ def _advice(document: Document) -> Iterator[Finding]:
     because, full_rank = document["unusable_because"], document["rank"] == document["n_free"]
     most_useful = {addition["kind"]: addition for addition in reversed(document["additions"])}  # the first is the best
     for addition in () if wrong_first(document) else reversed(most_useful.values()):
-        values = {"what": addition["text"], "n": len(addition["parameters"]), "names": addition["parameters"]}
+        what = addition["text"].removeprefix("measure ")
+        values = {"what": what, "n": len(addition["parameters"]), "names": addition["parameters"]}
         yield Finding("measure-next", {**values, "full_rank": full_rank})
     if because not in (None, Unusable.NO_FREEDOM, Unusable.WORSE):  # which more rows mend
         yield Finding("correct-next")

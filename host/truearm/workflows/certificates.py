@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -67,8 +68,10 @@ def calibration_certificate(identification: Identification, issue: Issue, observ
     )
     rows += [(f"{figures.n} held out ({groups})", _figures_text(figures, si)) for si, figures in held_out.items()]
     rows += [("independent validation", "none")] * (not held_out)
+    judged = {"error": tool}
     if tool is not None and "m" in held_out:
-        tool = max(tool, COVERAGE * held_out["m"].rms)
+        twice = COVERAGE * held_out["m"].rms
+        judged = {"error": max(tool, twice), "uncertainty": tool, "twice": twice}
     gain = gain_of(e.mean_change) is Gain.NONE
     problem = "it is no better than the nominal robot" if gain else identification.stored.unusable_because
     return Certificate(
@@ -81,7 +84,10 @@ def calibration_certificate(identification: Identification, issue: Issue, observ
             ("Conditions", conditions(recordings)),
             ("Files read", _files(observed.inputs)),
         ),
-        (_decision(issue.tolerance, tool, problem), *_excluded(identification)),
+        (
+            _decision(issue.tolerance, judged, problem, held_out=held_out["m"].n if "m" in held_out else None),
+            *_excluded(identification),
+        ),
     )
 
 
@@ -100,7 +106,7 @@ def validation_certificate(
     reused, simulated = bool(validation.document["identified_from"]), bool(validation.document["simulated"])
     no_help = any(finding.code == "validation-no-help" for finding in validation.findings)
     problem = calibration.stored.unusable_because or ("it does not help here" if no_help else None)
-    decision = _decision(issue.tolerance, error, problem, reused, validation.n)
+    decision = _decision(issue.tolerance, {"error": error}, problem, reused, rows=validation.n)
     lengths = any(kinds()[kind].components.count("m") < 3 for kind in np.unique(table.kind).tolist())
     return Certificate(
         f"Certificate of {'a simulated ' * simulated}validation",
@@ -158,16 +164,20 @@ def _tool_error(identification: Identification) -> float | None:
 
 
 def _decision(
-    tolerance: float | None, error: float | None, problem: str | None, reused: bool = False, rows: int | None = None
+    tolerance: float | None, judged: Mapping[str, float | None], problem: str | None, reused: bool = False, **rows: Any
 ) -> Finding:
-    """Return the expanded error and whether it is within the tolerance; ``rows`` that validate, if it is of these."""
+    """Return whether the ``error`` [m] among the ``judged`` is within the tolerance; the others are what it is the larger of."""
     if problem:
         return Finding("calibration-unusable", {"because": problem})
+    error = judged["error"]
     if error is None or reused:
         return Finding("not-decided", {"reused": reused})
     limit = None if tolerance is None else {"mm": MM.of(tolerance)}
-    values = {"error": {"mm": MM.of(error)}, "tolerance": limit, "rows": rows}
-    return Finding("tolerance-exceeded" if tolerance is not None and error > tolerance else "certified", values)
+    values = {name: None if value is None else {"mm": MM.of(value)} for name, value in judged.items()}
+    return Finding(
+        "tolerance-exceeded" if tolerance is not None and error > tolerance else "certified",
+        {**values, "tolerance": limit, **rows},
+    )
 
 
 def _region(calibration: Calibration, table: ObservationTable) -> str:

@@ -71,7 +71,7 @@ class Recorded:
     summary: RecordSummary
     is_kept: bool
     trouble: str
-    missing: str  # why the recording is incomplete, "" if it is complete
+    missing: tuple[Finding, ...]  # why the recording is incomplete
     dwells: RecordedDwells | None = None  # of a recording with a robot and a rig
     findings: Sequence[Finding] = ()  # about the robot's controller
 
@@ -90,36 +90,31 @@ def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], 
     return replace(_record(device, work, request, output), findings=controller.findings)
 
 
-def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
-    """Return how many dwells of a recording give no observation, and what to do; "" if every pose gave one."""
+def unsettled(dwells: RecordedDwells | None, session: Path) -> list[Finding]:
+    """Return how many dwells of a recording give no observation, and what to do; [] if every pose gave one."""
     if dwells is not None and dwells.need_decision:
-        count = f"{counted(dwells.need_decision, 'dwell')} {'needs' if dwells.need_decision == 1 else 'need'}"
-        return f"{count} a decision: decide what was mounted with truearm session relabel {session}"
+        counts = {"n": dwells.need_decision, "dwells": dwells.dwells}
+        return [Finding("doubtful-dwells", {"session": str(session), **counts, "path": [str(session)]})]
     if dwells is not None and dwells.lost:
-        return f"{counted(dwells.lost, 'visited pose')} of the plan gave no observation; truearm inspect {session} says why"
-    return ""
+        return [Finding("poses-lost", {"n": dwells.lost, "session": str(session)})]
+    return []
 
 
-def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
-    """Return why a recording that ended is incomplete; "" if it is complete."""
-    reasons = []
-    if summary.reason in ("link lost", "robot lost", "no readings"):
-        reasons.append(summary.text)
-    elif with_robot and not summary.counters.robot_lines:
-        closed = "the robot closed its stream without" if summary.reason == "robot closed" else "there is not"
-        reasons.append(f"{closed} a joint reading")
-    elif summary.robot_gone:
-        reasons.append(summary.robot_gone)
-    if summary.counters.robot_missing:
-        number = counted(summary.counters.robot_missing, "reading is", "readings are")
-        reasons.append(f"{FLOODED}: {number} missing; let it send fewer per second")
-    elif summary.counters.robot_unstored or summary.counters.robot_dropped:
-        reasons.append(f"{FLOODED}, so readings may be missing; let it send fewer per second")
+def what_is_missing(summary: RecordSummary, with_robot: bool) -> Iterator[Finding]:
+    """Return why a recording that ended is incomplete; nothing if it is complete."""
+    counters, lost = summary.counters, summary.reason in ("link lost", "robot lost", "no readings")
+    if lost or (summary.robot_gone and counters.robot_lines):
+        yield Finding("link-lost", {"reason": summary.text if lost else summary.robot_gone})
+    elif with_robot and not counters.robot_lines:
+        closed = {"reason": "the robot closed its stream without a joint reading"}
+        yield Finding("link-lost", closed) if summary.reason == "robot closed" else Finding("no-joint-readings")
+    if counters.robot_missing or counters.robot_unstored or counters.robot_dropped:
+        yield Finding("robot-too-fast", {"n": counters.robot_missing})
     if summary.box_gone and summary.reason != "link lost":
-        reasons.append(f"the box was gone at the end, and {summary.box_gone}")
-    elif not summary.counters.samples:
-        reasons.append("the box sent no sample")
-    return "; ".join([*reasons, *summary.file_losses])
+        yield Finding("link-lost", {"reason": f"the box was gone at the end, and {summary.box_gone}"})
+    elif not counters.samples:
+        yield Finding("no-box-data", {"problem": "sent no sample"})
+    yield from (Finding("file-loss", {"loss": loss}) for loss in summary.file_losses)
 
 
 def _record(device: str, work: RecordingWork, request: RecordOptions, output: TextIO) -> Recorded:
@@ -153,8 +148,8 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
         dwells = None
         if writer.kept and work.robot is not None and work.rig is not None and (options.plan or options.mounted):
             dwells = recorded_dwells(writer.path)
-        reasons = [what_is_missing(summary, work.robot is not None), unsettled(dwells, writer.path)]
-        return Recorded(writer.path, summary, writer.kept, state.trouble, "; ".join(filter(None, reasons)), dwells)
+        missing = (*what_is_missing(summary, work.robot is not None), *unsettled(dwells, writer.path))
+        return Recorded(writer.path, summary, writer.kept, state.trouble, missing, dwells)
 
 
 def nearest_osr(rate: float) -> int:
@@ -302,8 +297,8 @@ def recording_document(recorded: Recorded) -> dict[str, Any]:
         "counters": asdict(summary.counters),
         "faults": summary.faults,
         "dwells": None if recorded.dwells is None else asdict(recorded.dwells),
-        "missing": recorded.missing,
-        "findings": entries(_findings(recorded)) if recorded.is_kept else [],
+        "missing": "; ".join(finding.text(option).rstrip(".") for finding in recorded.missing),
+        "findings": entries([*_findings(recorded), *recorded.missing] if recorded.is_kept else recorded.missing),
     }
 
 

@@ -10,12 +10,14 @@ from pathlib import Path
 from truearm.disk import check_writable, replacing, sha256
 from truearm.errors import Argument, InputError, SessionError, WriteError
 from truearm.file_names import system_reason
+from truearm.findings import Finding, stated
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.record.recover import Recovered
 from truearm.record.recover import recover as recover_session
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
+from truearm.report.session_findings import damage_finding
 from truearm.workflows.session_parts import open_finished
 
 
@@ -44,6 +46,18 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
         reason = f"{out}: cannot be written: {system_reason(exc)}; {session} is unchanged"
         raise WriteError(reason, exc.strerror or "") from exc
     return recovered
+
+
+def recovery_findings(recovered: Recovered) -> list[Finding]:
+    """Return what was saved of a session and what was lost."""
+    accounts = recovered.topics.values()
+    values = {
+        **vars(recovered),
+        "duration": {"s": recovered.seconds},
+        "lost": sum(account.lost for account in accounts),
+    }
+    saved = stated("recovered", values, messages=sum(account.saved for account in accounts))
+    return [saved, *(damage_finding(vars(damage)) for damage in recovered.damage)]
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from truearm.disk import same_file
 from truearm.errors import Argument, InputError, SessionError
+from truearm.findings import Finding
 from truearm.record.write_lock import is_held
 from truearm.types import Move
 
@@ -49,6 +50,13 @@ def session_parts(path: Path) -> list[Path]:
     paths = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in _numbers(path)]
     first = _opened(path) if paths else None
     return [path, *(path for path in paths if first is not None and _goes_on(_opened(path), first))]
+
+
+def further_parts(session: Path, out: Path | None = None) -> list[Finding]:
+    """Return which parts a command did not read that wrote ``out`` from the first. Raises SessionError."""
+    names = [path.name for path in session_parts(session)[1:]]
+    values = {"session": session.name, "parts": names, "out": None if out is None else out.name}
+    return [Finding("further-parts", values)] if names else []
 
 
 def _numbers(path: Path) -> list[int]:
