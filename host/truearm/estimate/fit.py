@@ -27,7 +27,6 @@ from truearm.progress import Advance, step
 from truearm.types import Floats
 
 MANY = 20_000
-BY_CHANCE = 2.0  # times as many reductions of one residual's χ² each as there are unknowns
 USUAL_ITERATIONS = 8  # of a fit that converges, to estimate the remaining time
 
 
@@ -35,15 +34,11 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
     """Minimise from x (P,) over x[columns]; the prior's mean is the problem's start.
 
     Of more than MANY observations, every so manieth is fitted first: this costs little, and ends close to the minimum.
-    A fit that ``ends`` before the minimum ends there, unless all rows reduce χ² by more than chance in those few.
     """
     stride = sum(len(group.sensor_cov) for group in problem.groups) // MANY
     if stride > 1 and columns.any():
         thinned = (group if group.row is None else group.take(slice(None, None, stride)) for group in problem.groups)
-        start, x = x, fit(replace(problem, groups=tuple(thinned)), columns, x, options._replace(on_step=None)).x
-        if options.ends is not None and (x != start)[columns].all():  # otherwise, other rows alone see some unknown
-            chance = BY_CHANCE * float(columns.sum()) / MANY
-            options = options._replace(ends=options.ends._replace(predicted=max(options.ends.predicted, chance)))
+        x = fit(replace(problem, groups=tuple(thinned)), columns, x, options._replace(on_step=None)).x
     unknowns, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
     for loss in stages(options.loss):
         linearise, cost = _callbacks(problem, columns, x, loss)
