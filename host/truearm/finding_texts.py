@@ -713,6 +713,10 @@ BOX: Mapping[str, Statement] = {
     "flashed": result(
         "{drive}: {image} written ({size} KiB for the {chip}: [{other:!}a MicroPython without the box's firmware, or something else||the box's firmware][ {version}])[; the box answers: {box}]."
     ),
+    "place-rejected": warning(
+        "rejected: [the sensor moved by {moved} while it was sampled][{missing} of {n} stop pulses are missing][{at_end:!}the input is at the end of the converter's range]",
+        "[{moved:!}do not touch it, and measure this place again][{missing:!}check that the magnet is on the rod][{at_end:!}move the sensor, or lower the channel's gain with truearm box config set]",
+    ),
     "boot-drive": advice("{drive}: a chip in its boot loader", "flash it with truearm box flash {@drive} {drive}"),
     "other-firmware": warning(
         "The image has {image}, but the box runs {box}: firmware files on its flash take precedence."

@@ -30,6 +30,7 @@ from truearm.box.readiness import usable_channel
 from truearm.box.requests import GaugeOptions
 from truearm.disk import check_writable, write_atomic
 from truearm.errors import LinkError, TruearmError
+from truearm.findings import Finding, option
 from truearm.progress import step
 from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.sample_noise import mean_of, quick_noise
@@ -183,12 +184,8 @@ class GaugeRun:
         channel, say = self.channel, self.operator.say
         counts = sample(self.box, self.stream, self.options.sample)[:, self.stream.channels.index(channel)]
         readings = volts(counts[counts != 0] if channel.name == HEAD else counts, channel)
-        problem = trouble(counts, channel)
-        if not problem and (moved := motion(readings)):
-            text = one_line(f"the sensor moved by {moved:+.2g} {channel.unit} while it was sampled")
-            problem = f"{text}; do not touch it, and measure this place again"
-        if problem:
-            say(f"  rejected: {problem}")
+        if problem := trouble(counts, channel, readings):
+            say(f"  {problem.text(option)}")
             return False
         temperature = self.box.heartbeat.get("temperature_mdegc")
         degc = None if temperature is None else temperature / 1000
@@ -223,14 +220,16 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
     return np.concatenate(blocks)[:n_needed]
 
 
-def trouble(counts: NDArray[np.int32], channel: Channel) -> str:
-    """Return why these counts (n,) are not a reading; "" if they are."""
+def trouble(counts: NDArray[np.int32], channel: Channel, readings: Floats) -> Finding | None:
+    """Return why these counts (n,) and their readings are not those of a place; None if they are."""
     if channel.name == HEAD:
         missing = int(np.count_nonzero(counts == 0))
-        is_reading = 2 * missing <= counts.size and counts.size - missing >= FEWEST
-        return "" if is_reading else f"{missing} of {counts.size} stop pulses are missing; is the magnet on the rod?"
-    remedy = "move the sensor, or lower the channel's gain with truearm box config set"
-    return f"the input is at the end of the converter's range; {remedy}" if railed(counts).any() else ""
+        if 2 * missing > counts.size or counts.size - missing < FEWEST:
+            return Finding("place-rejected", {"missing": missing, "n": counts.size})
+    elif railed(counts).any():
+        return Finding("place-rejected", {"at_end": True})
+    moved = motion(readings)
+    return Finding("place-rejected", {"moved": f"{moved:+.2g} {channel.unit}"}) if moved else None
 
 
 def motion(samples: Floats) -> float:
