@@ -264,6 +264,18 @@ def test_status_says_what_comes_next(project, run):
     ]
 
 
+def test_status_of_many_sessions_is_short(project, run):
+    (project / "sessions").mkdir(exist_ok=True)
+    first, *copies = (project / "sessions" / f"{number:02}.mcap" for number in range(12))
+    recorded(first)
+    for copy in copies:
+        copy.write_bytes(first.read_bytes())
+    lines = run("status").out.splitlines()
+    assert len(lines) <= 15
+    assert sum(".mcap, " in line for line in lines) == 3
+    assert sum(".mcap, " in line for line in run("status", "--details").out.splitlines()) == 12
+
+
 def test_status_names_a_fit_that_converged_and_is_not_usable(project, files, run):
     """As many unknowns as rows: the operator is not told to correct programs by it."""
     recorded(project / "sessions" / "2026-01-01.mcap")
