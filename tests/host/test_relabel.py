@@ -242,6 +242,13 @@ class TestOneMissedEnter:
         (line,) = capsys.readouterr().err.splitlines()
         assert "s.labels.json" in line
 
+    def test_labels_of_a_later_version_are_not_written_over(self, path, capsys):
+        later = '{"format": "truearm-labels", "format_version": 2, "more": []}'
+        labels_path(path).write_text(later)
+        assert main(["session", "relabel", str(path), "--trust", "plan"]) == 2
+        assert "s.labels.json" in capsys.readouterr().err
+        assert labels_path(path).read_text() == later
+
     def test_a_session_that_is_still_written(self, path, capsys):
         path.write_bytes(path.read_bytes()[:-2000])
         with path.open("r+b") as file:

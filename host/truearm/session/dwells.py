@@ -221,7 +221,7 @@ def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
     stops = find_stops(sensor_bins(samples), step=np.zeros(1))
     rests = [stop for stop in stops if stop.reason != "too short"]
     end_s = np.array([*(stop.end_s + GUARD_S for stop in rests), -np.inf])
-    times, mean = bins.times, bins.joints(0, len(bins)).mean
+    times, mean = bins.times, bins.means()
     noted_ns = stream.to_host_ns(times.segment, times.t_first_s)
     rest_of = np.searchsorted([stop.stood_s for stop in rests], 1e-9 * noted_ns, side="right") - 1
     rest_of[1e-9 * noted_ns > end_s[rest_of]] = -1

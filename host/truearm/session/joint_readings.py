@@ -136,12 +136,14 @@ class Bins:
     def joints(self, first: int, end: int) -> BinJoints:
         """Return the joints in the bins from ``first`` to before ``end``, of at least one bin."""
         batches = range(bisect_right(self._begins, first) - 1, bisect_left(self._begins, end))
-        columns = zip(*(self._batch(k, first, end) for k in batches), strict=True)
-        return BinJoints(*(column[0] if len(column) == 1 else np.concatenate(column) for column in columns))
+        cut = (
+            [c[max(0, first - self._begins[k]) : end - self._begins[k]] for c in self._joints.load(k)] for k in batches
+        )
+        return BinJoints(*(c[0] if len(c) == 1 else np.concatenate(c) for c in zip(*cut, strict=True)))
 
-    def _batch(self, number: int, first: int, end: int) -> list[NDArray[Any]]:
-        begin = self._begins[number]
-        return [column[max(0, first - begin) : end - begin] for column in self._joints.load(number)]
+    def means(self) -> Floats:
+        """Return the means (b, j) of the joints in all bins, of at least one."""
+        return np.concatenate([self._joints.load(k)[0] for k in range(len(self._times))])
 
     def joint(self, joint: int) -> BinJoints:
         """Return one joint (b,) in all bins, of at least one."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -95,13 +96,7 @@ def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
     if not path.exists():
         return None
     try:
-        text = read_text(path, MAX_BYTES, SessionError)
-        version = msgspec.json.decode(text, type=_Header).format_version
-        if version > FORMAT_VERSION:
-            raise SessionError(
-                f"{path}: has format version {version}, this truearm reads {FORMAT_VERSION}; update truearm"
-            )
-        labels = msgspec.json.decode(text, type=Labels)
+        labels = msgspec.json.decode(_text_of(path), type=Labels)
     except (msgspec.MsgspecError, RecursionError) as exc:
         raise SessionError(f"{path}: {exc}; label the dwells again with truearm session relabel") from exc
     if labels.sha256 != sha256(session):
@@ -111,12 +106,28 @@ def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
     return tuple(dwell.label for dwell in labels.decisions[-1].dwells)
 
 
+def _text_of(path: Path) -> str:
+    """Return the text of a file of labels. Raises SessionError for a later version, MsgspecError for other content."""
+    text = read_text(path, MAX_BYTES, SessionError)
+    version = msgspec.json.decode(text, type=_Header).format_version
+    if version > FORMAT_VERSION:
+        raise SessionError(f"{path}: has format version {version}, this truearm reads {FORMAT_VERSION}; update truearm")
+    return text
+
+
 def write_labels(session: Path, labels: Sequence[DwellLabel], trust: str, robot: str) -> None:
-    """Write the labels of a session atomically; ``trust`` and ``robot`` as in ``Decision``. Raises InputError."""
+    """Write the labels of a session atomically; ``trust`` and ``robot`` as in ``Decision``.
+
+    Raises InputError, and SessionError if a later version of truearm wrote labels, which would be lost.
+    """
+    path = labels_path(session)
+    if path.exists():
+        with suppress(msgspec.MsgspecError, RecursionError):  # what cannot be read may be written anew
+            _text_of(path)
     dwells = tuple(
         Dwell(start, end, **mounted, pose=pose, probability=number_or_null(probability), detail=detail)
         for start, end, mounted, pose, probability, detail in labels
     )
     name = session.name.encode(errors="backslashreplace").decode()
     document = Labels("truearm-labels", FORMAT_VERSION, name, sha256(session), (Decision(trust, dwells, robot),))
-    write_atomic(labels_path(session), strict_json(msgspec.to_builtins(document)) + "\n")
+    write_atomic(path, strict_json(msgspec.to_builtins(document)) + "\n")

@@ -62,7 +62,7 @@ def find_legs(stream: JointStream) -> list[Leg]:
     times = stream.bins.times
     if len(times.n) < 2:
         return []
-    mean = stream.bins.joints(0, len(times.n)).mean
+    mean = stream.bins.means()
     step, seconds, joined = _steps(times, mean)
     speed = np.max(np.abs(step), axis=1) / seconds
     turns = np.einsum("ij,ij->i", step[1:], step[:-1]) < 0.0  # at bin k + 1

@@ -110,7 +110,6 @@ class Spool:
         self.spans: list[tuple[int, float, float]] = []
         self._file = tempfile.SpooledTemporaryFile(max_size=IN_MEMORY_BYTES)
         self._layouts: list[tuple[int, list[tuple[np.dtype[Any], tuple[int, ...]]]]] = []
-        self.load = lru_cache(2)(self._load)
 
     def append(self, arrays: Sequence[NDArray[Any]], span: tuple[int, float, float]) -> None:
         """Add arrays. Raises SessionError if the disk is full."""
@@ -124,7 +123,7 @@ class Spool:
             ) from exc
         self.spans.append(span)
 
-    def _load(self, number: int) -> list[NDArray[Any]]:
+    def load(self, number: int) -> list[NDArray[Any]]:
         """Return the arrays with a number."""
         begin, layout = self._layouts[number]
         self._file.seek(begin)
