@@ -223,3 +223,9 @@ def test_an_axis_just_beyond_a_quarter_turn_is_shown_on_its_side():
         ["7", "4", "1", "4", "89.9999", "0"],
         ["7", "6", "0", "6", "-95", "-2"],
     ]
+
+
+def test_an_axis_at_a_quarter_turn_within_rounding_contradicts_no_data():
+    q = np.radians([[-9.48e-15, 0.0, 0.0, 90.0, 0.0, -90.0]])
+    for quarters in ([0.0, np.nan, np.nan, 0.0, np.nan, -1.0], [-1.0, np.nan, np.nan, 1.0, np.nan, -2.0]):
+        assert not list(configuration_notes(q, np.array([quarters]), np.array([True]), [7]))

@@ -22,6 +22,7 @@ from truearm.correct.correction import MARGIN, MOST_TURN
 from truearm.correct.methods import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs import corrected_text
+from truearm.correct.programs.data import Form
 from truearm.correct.programs.languages import language_of
 from truearm.errors import InputError
 from truearm.findings import Finding
@@ -253,6 +254,27 @@ def test_quarter_turns_that_the_correction_crosses_are_written():
         np.testing.assert_allclose(done.pose, driven(after)[0].pose)
         crossed.append((start < 0.0) != (done.q[0] < 0.0))
     assert sorted(crossed) == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "quarter", "turn"),
+    [(-1e-16, -1e-3, -1, 1), (1e-16, -1e-3, -1, 1), (-1e-16, 1e-3, 0, 0), (1e-3, -1e-16, 0, 0), (-0.1, 1e-3, 0, 0)],
+)
+def test_an_axis_at_zero_within_rounding_has_the_data_of_where_it_goes(before, after, quarter, turn):
+    """Where the axis would be before is known to rounding only; data that contradict it by more stay as they are."""
+    joints = corrected_text.Joints(
+        np.array([1.0, 0.1, 0.1, before, 0.5, 1.0]), np.array([1.0, 0.1, 0.1, after, 0.5, 1.0])
+    )
+    target = robtarget_literal(0, 0, 0)
+    texts = corrected_text.configuration_texts(target, joints)
+    assert texts == ([] if quarter == 0 else ["0", str(quarter), "0", "0"])
+    turned = SimpleNamespace(target=SimpleNamespace(literal=SimpleNamespace(form=None)), turns=0)
+    assert corrected_text.configuration_texts(turned, joints) == ([] if turn == 0 else [str(turn << 3)])
+
+
+def robtarget_literal(*quarters):
+    literal = SimpleNamespace(form=Form.ROBTARGET, numbers=(0.0,) * 7 + (*map(float, quarters), 0.0))
+    return SimpleNamespace(target=SimpleNamespace(literal=literal))
 
 
 def test_a_straight_move_from_a_target_out_of_reach_is_not_checked():

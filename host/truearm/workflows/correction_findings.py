@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.correct.configurations import SAME
 from truearm.correct.correction import Correction
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
@@ -311,7 +312,7 @@ def configuration_notes(
     if not determined.all():
         places = [line for line, is_determined in zip(lines, determined, strict=False) if not is_determined]
         yield Finding("home-decides", {"lines": places})
-    wrong = (np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)
+    wrong = np.abs(q - 0.5 * np.pi * (quarters + 0.5)) > 0.25 * np.pi + SAME  # never true for NaN
     if wrong.any():
         details = "; ".join(_other_quarters(lines, q, quarters, wrong))
         yield Finding("configuration-data", {"n": int(wrong.any(axis=1).sum()), "details": details})

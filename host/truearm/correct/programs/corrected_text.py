@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from truearm.correct.configurations import EDGE, SAME
 from truearm.correct.programs.census import Census
 from truearm.correct.programs.data import Form, Place
 from truearm.correct.programs.poses import plain, texts_of_poses, texts_of_readings
@@ -89,14 +90,18 @@ def configuration_texts(goal: Goal, joints: Joints | None) -> list[str]:
     if literal.form is Form.ROBTARGET:
         data = list(literal.numbers[7:11])
         for index, axis in enumerate(CONFIGURED):
-            old, new = (math.floor(q[axis] / (0.5 * math.pi)) for q in joints)
-            if old == data[index]:  # data that are wrong by this model stay as they are
-                data[index] = new
+            beyond = [abs(q[axis] - 0.5 * math.pi * (data[index] + 0.5)) - 0.25 * math.pi for q in joints]
+            if beyond[0] <= EDGE and beyond[1] > SAME:  # data that are wrong by this model stay as they are
+                data[index] = math.floor(joints.after[axis] / (0.5 * math.pi))
         return [plain(number, 0) for number in data] if tuple(data) != literal.numbers[7:11] else []
     if goal.turns is None:
         return []
-    old_bits, new_bits = (sum(1 << axis for axis, reading in enumerate(q) if reading < 0.0) for q in joints)
-    turns = goal.turns ^ old_bits ^ new_bits
+    turns = goal.turns
+    for axis, (old, new) in enumerate(zip(*joints, strict=True)):
+        bit = 1 << axis
+        fits = abs(old) <= EDGE or (old < 0.0) == bool(turns & bit)  # data that are wrong by this model stay
+        if fits and abs(new) > SAME:
+            turns = turns | bit if new < 0.0 else turns & ~bit
     return [str(turns)] if turns != goal.turns else []
 
 
