@@ -181,6 +181,7 @@ KRL = {
     "two tools": krl(f"{ACTIVE}LIN XP1 ;R\nBAS(#TOOL,0)\nLIN XP1 ;R"),
     "external axis": krl(f"{ACTIVE}LIN {{X 400,Y 0,Z 300,A 0,B 90,C 0,E1 100}} ;R"),
     "not all components": krl(f"{ACTIVE}LIN {{Z 300}} ;R"),
+    "a point as a number": krl(f"{ACTIVE}LIN {{X 400,Y .,Z 300,A 0,B 90,C 0}} ;R"),
     "circle": krl(f"{ACTIVE}CIRC XP1,XP2,CA 90 ;K"),
     "data of another module": krl(f"{ACTIVE}LIN XP1 ;K") | {"q.dat": KRL_POINTS, "q.src": f"DEF q()\n{ACTIVE}LIN XP1 ;K\nXP2.X=1\nEND\n"},
     "parameter": {"p.src": f"DEF p(XP1:IN)\n{ACTIVE}LIN XP1 ;R\nEND\n", "p.dat": KRL_POINTS, "$config.dat": FRAMES},

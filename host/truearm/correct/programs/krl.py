@@ -40,7 +40,7 @@ POSE, AXES = ("x", "y", "z", "a", "b", "c"), ("a1", "a2", "a3", "a4", "a5", "a6"
 FDAT = {"tool": "tool_no", "base": "base_no", "ipo_mode": "ipo_frame"}
 # an offset that BAS adds
 CORRECTION = re.compile(r"\b(tool_corr_on|tool_corr_w_on|base_corr_on|m_bas_cor_on) = (?!false)")
-PLAIN = re.compile(r"(?:[-+] )?[\d.]+(?:[eE][-+]?\d+)?")  # a number with its sign
+PLAIN = re.compile(r"(?:[-+] )?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")  # a number with its sign
 
 
 @dataclass(frozen=True, eq=False)
