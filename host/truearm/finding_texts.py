@@ -365,7 +365,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "no-box": ("{place}: not found", "plug the box in"),
     "no-box-plugged-in": (
         "no box is plugged in: no serial port has a Pico's USB identity",
-        "plug it in (a new Pico: truearm box flash), name its port with {@box}, or try all with truearm box list {@all}; without hardware, truearm simulate simulates a box",
+        "plug it in (a new Pico: truearm box flash), name its port with {@box}, or try all with truearm box list {@@all}; without hardware, truearm simulate simulates a box",
     ),
     "several-boxes": ("{boxes:#box is|boxes are} plugged in: {boxes}", "name one with {@box}"),
     "no-answer": (
@@ -374,13 +374,13 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "no-channel": (
         "the box has no channel {channel} (it has {names})",
-        "[{switch:!}switch it on with truearm box config set magnetostrictive.period_us=983.04 {device:@box}||to rename one, save what truearm box config get {device:@box} prints as box.toml, edit it, and run truearm box config set box.toml {device:@box}]",
+        "[{switch:!}switch it on with truearm box config set magnetostrictive.period_us=983.04 {device:@@box}||to rename one, save what truearm box config get {device:@@box} prints as box.toml, edit it, and run truearm box config set box.toml {device:@@box}]",
     ),
     "unusable-channel": (
         "channel {channel} cannot be used: {fault}",
-        "correct it with truearm box config set channel.{channel}.KEY=VALUE {device:@box}",
+        "correct it with truearm box config set channel.{channel}.KEY=VALUE {device:@@box}",
     ),
-    "unready-box": ("{problems}; nothing was started", "{@unchecked} records anyway"),
+    "unready-box": ("{problems:;}; nothing was started", "{@unchecked} records anyway"),
     "old-firmware": ("[{place}: ]the box {reason}", "update its firmware with truearm box flash"),
     # programs
     "no-program": (
@@ -491,10 +491,7 @@ SESSION: Mapping[str, Statement] = {
         "Add them with truearm session add-joints.",
     ),
     "no-stops": refusal("Not usable: the robot never stood still.", WAIT),
-    "session-not-evaluated": warning(
-        "Not evaluated:[ {dwells:#stop} and] no observation, because {reason}.",
-        "[{dwells:!}Give {@rig} to truearm identify.]",
-    ),
+    "session-not-evaluated": warning("Not evaluated:[ {dwells:#stop} and] no observation, because {reason}."),
     "no-observations": refusal(
         "Not usable: no observation[ from {dwells:#dwell}][ ({planned:#pose} planned)][, none from {passes:#pass|passes} along lines]."
     ),
@@ -611,7 +608,7 @@ REPEATABILITY: Mapping[str, Statement] = {
         "Repeatability along the bar, approached from one side: {along}, 1 sigma[ (without the joints' scatter {alone})]; largest backlash: {backlash}, {joint}. From {visits:#visit} of {poses:#pose} in {sides} combinations of pose and approach direction, bar {bar} (in brackets: 95 % intervals)."
     ),
     "noise-to-use": result(
-        "For truearm identify {@noise}: sigma of bar {bar} {sigma}, in place of the rig's {declared}; sigmas of the joints, which include half the backlash. For dwells of sessions, identify corrects the backlash instead."
+        "For truearm identify {@@noise}: sigma of bar {bar} {sigma}, in place of the rig's {declared}; sigmas of the joints, which include half the backlash. For dwells of sessions, identify corrects the backlash instead."
     ),
     "backlash-varies": warning(
         "One backlash per joint does not explain the differences between sides (probability {probability:.1e}): it changes with the pose. The sigma of the bar includes the remainder."
@@ -632,7 +629,7 @@ RECORDING: Mapping[str, Statement] = {
     "labels-next": advice(
         "Nothing was written.", "Give {@trust}, or what was mounted, as {@mounted} 12:14=BAR,CHUCK,SPHERE."
     ),
-    "labels-written": note("Later commands use these labels.", "To undo this, delete the file."),
+    "labels-written": advice("Later commands use these labels.", "To undo this, delete the file."),
     "init-next": advice(
         "Next: [print {block} and place it as {drawing} shows||put what you measured of the rig into {rig}]; then {step}."
     ),
@@ -642,7 +639,7 @@ RECORDING: Mapping[str, Statement] = {
         "{n:#row has|rows have} no joints yet; delete a row that you do not measure",
         "write the joints of each seat of places.csv into {seats}, or truearm seats LOG",
     ),
-    "plan-next": advice("there is no plan yet", "truearm plan ballbar {@minutes} 30"),
+    "plan-next": advice("there is no plan yet", "truearm plan ballbar {@@minutes} 30"),
     "record-next": advice(
         "[{simulated:!}the last result says nothing about a real robot: its session is simulated||nothing is recorded yet; truearm simulate rehearses it without hardware]",
         "truearm record",
@@ -652,14 +649,14 @@ RECORDING: Mapping[str, Statement] = {
     "move-next": advice(
         "it was recorded for {robot}, and truearm identify reads all sessions there", "move {session} out of {folder}"
     ),
-    "identify-next": advice("{file} is not identified yet", "truearm identify {@hold_out} {hold_out}"),
+    "identify-next": advice("{file} is not identified yet", "truearm identify {@@hold_out} {hold_out}"),
     "cause-next": advice(
         "the last fit [{unusable:!}is not usable||did not converge]",
-        "[truearm inspect {session}||truearm identify {@details}]",
+        "[truearm inspect {session}||truearm identify {@@details}]",
     ),
     "use-next": advice(
         "the robot is identified; if no rows were held out, judge it first with truearm validate",
-        "truearm correct {result} PROGRAM {@out} CORRECTED",
+        "truearm correct {result} PROGRAM {@@out} CORRECTED",
     ),
     "recorded": result(
         "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})]."
@@ -696,12 +693,12 @@ BOX: Mapping[str, Statement] = {
         code: warning("{verdict}: {title}: [{value}||not measured][{near:!}, near its limit].", remedy)
         for code, remedy in {
             "test-converter": f"Check its supply and the SPI wires: DOUT, CS, SCLK, DIN ({HARDWARE}).",
-            "test-excitation": f"Check the LVDT's plug, primary and supply ({HARDWARE}). Without an LVDT, run truearm box config set channel.NAME.over= {{device:@box}} for each channel that has the key 'over' (the channel to divide by).",
+            "test-excitation": f"Check the LVDT's plug, primary and supply ({HARDWARE}). Without an LVDT, run truearm box config set channel.NAME.over= {{device:@@box}} for each channel that has the key 'over' (the channel to divide by).",
             "test-noise": "Check the analogue ground and the 3.3 V supply; keep USB and motor cables away from the converter.",
-            "test-stops": "Check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking_us and timeout_us, which truearm box config get {device:@box} prints. Without such a head, run truearm box config set magnetostrictive.period_us=0 {device:@box}.",
+            "test-stops": "Check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking_us and timeout_us, which truearm box config get {device:@@box} prints. Without such a head, run truearm box config set magnetostrictive.period_us=0 {device:@@box}.",
             "test-supply": "Use another port or a shorter cable, or a powered hub.",
             "test-temperature": "Cool or warm the box.",
-            "test-thermometers": "Check the wires at J1 and the addresses: truearm box config get {device:@box} prints those of the configuration, truearm box config set thermometers.NAME=ADDRESS {device:@box} changes one.",
+            "test-thermometers": "Check the wires at J1 and the addresses: truearm box config get {device:@@box} prints those of the configuration, truearm box config set thermometers.NAME=ADDRESS {device:@@box} changes one.",
             "test-unknown": "The box's firmware is newer than this truearm: update truearm.",
         }.items()
     },
@@ -709,7 +706,7 @@ BOX: Mapping[str, Statement] = {
         "{verdict}: {title}: the box's answer cannot be read.", "Update its firmware with truearm box flash."
     ),
     "test-passed": result("{verdict}: {title}: {value}."),
-    "box-fault": warning("{fault}[{recorded:!}; its samples are recorded anyway]"),
+    "box-fault": warning("[{recorded:!}||warning: ]{fault}[{recorded:!}; its samples are recorded anyway]"),
     "flashed": result(
         "{drive}: {image} written ({size} KiB for the {chip}: [{other:!}a MicroPython without the box's firmware, or something else||the box's firmware][ {version}])[; the box answers: {box}]."
     ),
@@ -717,21 +714,22 @@ BOX: Mapping[str, Statement] = {
         "rejected: [the sensor moved by {moved} while it was sampled][{missing} of {n} stop pulses are missing][{at_end:!}the input is at the end of the converter's range]",
         "[{moved:!}do not touch it, and measure this place again][{missing:!}check that the magnet is on the rod][{at_end:!}move the sensor, or lower the channel's gain with truearm box config set]",
     ),
-    "boot-drive": advice("{drive}: a chip in its boot loader", "flash it with truearm box flash {@drive} {drive}"),
+    "boot-drive": advice("{drive}: a chip in its boot loader", "flash it with truearm box flash {@@drive} {drive}"),
     "other-firmware": warning(
         "The image has {image}, but the box runs {box}: firmware files on its flash take precedence."
     ),
     # whether it can measure
     "uncalibrated-channel": refusal(
-        "channel {channel} is not calibrated to a length", "calibrate it with truearm box gauge {channel} {device:@box}"
+        "channel {channel} is not calibrated to a length",
+        "calibrate it with truearm box gauge {channel} {device:@@box}",
     ),
     "nothing-calibrated": warning(
         "no channel of the box is calibrated to a length, so truearm identify cannot use this session",
-        "calibrate one with truearm box gauge CHANNEL {device:@box}",
+        "calibrate one with truearm box gauge CHANNEL {device:@@box}",
     ),
     "old-calibration": warning(
         "channel {channel} was calibrated {days} days ago, on {date}",
-        "calibrate it again with truearm box gauge {channel} {device:@box}",
+        "calibrate it again with truearm box gauge {channel} {device:@@box}",
     ),
     "future-calibration": warning(
         "channel {channel} was calibrated on {date}, which is in the future", "check the date of this computer"
@@ -765,7 +763,7 @@ LIVE: Mapping[str, Statement] = {  # of a recording that is under way: clauses a
     "plan-complete": advice("the plan is complete", "type q and Enter to end the recording"),
     "damaged-part": warning(
         "{place}: is damaged or has no end, so other commands refuse it and its further parts",
-        "to avoid this, end this recording, run truearm session recover {place}, and record with {@resume} {copy}",
+        "to avoid this, end this recording, run truearm session recover {place}, and record with {@@resume} {copy}",
     ),
 }
 
@@ -858,7 +856,7 @@ CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
         "[{items:!}Measure the {items}, write them into the rig with their standard deviations, and identify again.||To determine it, use another kind of observation.]",
     ),
     "own-frames-next": advice(
-        "For targets relative to the robot's own base, run truearm correct or truearm map with {@own_frames}."
+        "For targets relative to the robot's own base, run truearm correct or truearm map with {@@own_frames}."
     ),
     "null-space-moves-end": warning(
         "Unidentifiable combinations of parameters move the end (weights in m, rad and 1): {terms:3}. Their nominal values are used.",

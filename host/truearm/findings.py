@@ -119,8 +119,8 @@ def worded(template: str, values: Mapping[str, Any], argument: Callable[[str], s
     """Return a template with its values.
 
     ``{name}``: a text, a list of texts, or a quantity. ``{names:4}``: at most four of a list. ``{n:#row}``: "1 row", "2 rows"; ``{n:#entry|entries}``.
-    ``{n:?is|are}``: the first for one. ``{@loss}``: the argument of this name; ``{rows:@leave_out}``: it, before each
-    text of a list. ``[…]`` is left out if one of its values is
+    ``{n:?is|are}``: the first for one. ``{texts:;}``: all of a list, which may have commas. ``{@loss}``: the argument of
+    this name; ``{rows:@leave_out}``: it, before each text of a list. ``@@`` in a command: the option in Python too. ``[…]`` is left out if one of its values is
     absent or false, or replaced by ``B`` in ``[A||B]``; ``{name:!}`` prints nothing, so that only its presence matters.
     """
     words = _Words(argument)
@@ -141,7 +141,11 @@ class _Words(Formatter):
 
     def get_value(self, key: int | str, args: Any, kwargs: Mapping[str, Any]) -> Any:
         name = str(key)
-        return self._argument(name[1:]) if name.startswith("@") else kwargs[name]
+        return self._named(name) if name.startswith("@") else kwargs[name]
+
+    def _named(self, reference: str) -> str:
+        name = reference.lstrip("@")
+        return option(name) if reference.startswith("@@") else self._argument(name)
 
     def format_field(self, value: Any, format_spec: str) -> str:
         kind, choice = format_spec[:1], format_spec[1:].partition("|")
@@ -157,9 +161,10 @@ class _Words(Formatter):
         if isinstance(value, Mapping):
             return " and ".join(_quantity(number, suffix, format_spec) for suffix, number in value.items())
         if format_spec.startswith("@"):
-            return " ".join(f"{self._argument(format_spec[1:])} {shlex.quote(one_line(text))}" for text in value)
+            return " ".join(f"{self._named(format_spec)} {shlex.quote(one_line(text))}" for text in value)
         if isinstance(value, list | tuple):
-            return listed([one_line(str(name)) for name in value], int(format_spec or MOST))
+            texts = [one_line(str(text)) for text in value]
+            return "; ".join(texts) if kind == ";" else listed(texts, int(format_spec or MOST))
         if value is None:
             return "-"
         return one_line(value) if isinstance(value, str) else format(value, format_spec)

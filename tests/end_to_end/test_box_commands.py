@@ -50,9 +50,12 @@ def test_a_self_test_that_fails(capsys):
         said = capsys.readouterr()
         assert said.out.splitlines()[1].startswith("fail: the converter answers: 0x0 (allowed: 0x2400 to 0x24ff)")
         assert said.err == ""
-        assert len(said.out.splitlines()) <= 15
         assert box("test", "--box", device, "--json") == 1
         results = {result["name"]: result for result in json.loads(capsys.readouterr().out)}
+        words = " ".join(said.out.split())
+        assert all(f"{result['verdict']}: {result['title']}" in words for result in results.values())
+        assert all(result["advice"] in words for result in results.values())
+        assert f"channel.NAME.over= --box {device}" in results["excitation"]["text"]
         codes = {
             name: (results[name]["verdict"], results[name]["code"]) for name in ("converter_id", "rail_5v", "noise_1")
         }

@@ -10,6 +10,7 @@ import pytest
 from tests.host.findings_bench import stated
 
 import truearm.finding_texts
+from truearm.cli.findings_text import show
 from truearm.cli.main import command_tree
 from truearm.errors import Argument, InputError, PlanError, ProblemError, RobotError, TableError
 from truearm.finding_texts import ERRORS, REASONS, STATEMENTS, Severity
@@ -34,6 +35,9 @@ HOST = Path(truearm.finding_texts.__file__).parent
         ("a[{y:!} b|| {x:g}].", {"x": 0.0, "y": False}, "a 0."),
         ("give {@leave_out} {x}", {"x": "a\nb"}, "give --leave_out a b"),
         ("give {rows:@apply}", {"rows": ["a b", "c"]}, "give --apply 'a b' --apply c"),
+        ("run it {rows:@@leave_out} {@@no_check}", {"rows": ["a"]}, "run it --leave-out a --no-check"),
+        ("{texts:;}.", {"texts": ["a, b"] * 13}, "; ".join(["a, b"] * 13) + "."),
+        (STATEMENTS["box-fault"].sentence, {"fault": "a"}, "warning: a"),
         ("{text}", {"text": "[{not} a template]"}, "[{not} a template]"),
     ],
 )
@@ -63,6 +67,9 @@ def test_an_entry_is_a_sentence(code):
     for text in filter(None, texts):
         assert text.count("[") == text.count("]")
         assert not re.search(r"  |--", text)
+        assert not re.search(
+            r"truearm [a-z][^.,;|\[\]]*\{\w*:?@\w", text
+        )  # in a command an option is one in Python too
 
 
 def test_options_that_an_entry_names_exist():
@@ -94,6 +101,26 @@ def test_the_short_form_begins_with_the_verdict_and_fits_fifteen_lines(run, good
     lines = run(*good, "--hold-out", "0.2").out.splitlines()
     assert lines[0].startswith("Usable: ")
     assert len(lines) <= 15
+
+
+NOTE, WARNING, REFUSAL = Finding("refit-next"), Finding("backlash-varies", {"probability": 0.1}), Finding("no-stops")
+
+
+@pytest.mark.parametrize(
+    ("findings", "tables", "hint", "shown", "has_hint"),
+    [
+        ([REFUSAL] * 20, (), "more", [20, 0], False),
+        ([REFUSAL, *[WARNING] * 20, REFUSAL], (), "more", [2, 6], True),
+        ([REFUSAL, *[WARNING] * 20, REFUSAL], (), "", [2, 20], False),
+        ([REFUSAL], ("table",), "more", [1, 0], True),
+        ([REFUSAL, Finding("faults-applied", {"applied": "x"})], (), "more", [1, 0], True),
+    ],
+)
+def test_what_the_short_form_leaves_out(capsys, findings, tables, hint, shown, has_hint):
+    show(findings, tables, hint=hint)
+    lines = capsys.readouterr().out.splitlines()
+    assert [sum(line.startswith(finding.text()[:20]) for line in lines) for finding in (REFUSAL, WARNING)] == shown
+    assert lines[-1].endswith("more") == has_hint
 
 
 def test_errors_have_codes_values_and_places():

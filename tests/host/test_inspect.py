@@ -107,6 +107,15 @@ def test_a_wrong_rig_hides_nothing_of_the_session(stream, tmp_path, run, rig, sa
     assert dwells["found"] == 5
 
 
+def test_without_a_rig_the_sentence_is_whole(stream, tmp_path, run):
+    path = write_session(tmp_path / "s.mcap", stream)
+    reason = listed(json.loads(run("inspect", path, "--json").out))["session-not-evaluated"]["reason"]
+    assert reason.startswith("the session ")
+    said = " ".join(run("inspect", path).out.split())
+    assert f"because {reason}." in said
+    assert said.count("--rig") == 1
+
+
 def test_ident_of_the_metadata_serves(stream, tmp_path, run):
     without = [m for m in stream if m.topic != "/box/ident"]
     document = {**ident_document(), "uid": "0102"}

@@ -193,6 +193,10 @@ class TestState:
         with pytest.raises(InputError, match=r"length.* nothing was started") as refused:
             view.approve(box(calibration={}))
         assert refused.value.finding.code == "unready-box"
+        problems = refused.value.finding.values["problems"]
+        assert len(problems) == 1
+        every = [*problems, "a, b"] * 7
+        assert InputError("unready-box", problems=every).finding.text().startswith("; ".join(every) + "; ")
         all_the_same = state(purpose=Purpose(ball_bar=True), unchecked=True)
         all_the_same.approve(box(calibration={}))
         assert "calibrated" in all_the_same.messages[0]

@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from operator_scripts import Visit, forgetful, lengths, pairing_at, script, writ
 from tests.refusals import ended
 
 from truearm.cli.main import main
+from truearm.findings import Finding
 from truearm.model.robot import builtin_robot
 from truearm.record.write_lock import hold
 from truearm.session.labels_file import labels_path, read_labels
@@ -196,15 +198,22 @@ class TestOneMissedEnter:
         for options in ((), ("--model", "puma560")):
             assert main(["session", "relabel", str(path), "--json", *options]) == 0
             findings = json.loads(capsys.readouterr().out)["findings"]
-            assert [findings[0]["code"], findings[-1]["code"]] == ["labels", "labels-next"]
-            left_out = {finding["values"]["dwell"]: finding["values"]["detail"] for finding in findings[1:-1]}
+            assert [finding["code"] for finding in findings[:3]] == ["labels", "labels-next", "dwell-left-out"]
+            left_out = {finding["values"]["dwell"]: finding["values"]["detail"] for finding in findings[2:]}
             details.append(left_out[12])
         assert details[0] == "planned bar46 c2 s3; confirmed bar46 c2 s2"
         assert "; evidence (" in details[1]
         assert details[1].endswith(" bar46 c2 s3")
         assert main(["session", "relabel", str(path)]) == 0
-        assert len(capsys.readouterr().out.splitlines()) <= 15
+        lines = capsys.readouterr().out.splitlines()
+        assert re.findall(r"^s\.mcap dwell (\d+): ", "\n".join(lines), re.MULTILINE) == list(map(str, left_out))
         assert os.listdir(path.parent) == ["s.mcap"]
+
+    def test_how_to_undo_it_is_among_what_is_printed(self, path, capsys):
+        assert main(["session", "relabel", str(path), "--mounted", "12=bar46,c2,s3"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[1] == Finding("labels-written").text()
+        assert len(lines) <= 15
 
     def test_the_operator_names_what_was_mounted(self, path, plan):
         """Where plan and confirmations differ, only the named dwells are labelled, and those override the source that decides."""

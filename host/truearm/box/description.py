@@ -28,7 +28,7 @@ def ident_lines(ident: Ident) -> list[str]:
         described = zip(stream.channels, described_channels(ident, stream), strict=True)
         lines += [f"  {_channel(channel, entry)}" for channel, entry in described]
     for fault in ident.faults:
-        lines += ["", f"warning: {Finding('box-fault', {'fault': fault}).text()}"]
+        lines += ["", Finding("box-fault", {"fault": fault}).text()]
     if isinstance(document.get("last_error"), str):
         lines += ["", "its last traceback (truearm box reset clears it):"]
         lines += ["  " + one_line(line) for line in document["last_error"].splitlines()]

@@ -105,11 +105,6 @@ def self_test(*, box: str | None = None, stop: bool = False) -> Answer:
     The exit code is 1 if a test failed. A warning marks what was not measured or is near its limit.
 
     Example: truearm box test --box /dev/ttyACM0
-
-    Options
-    -------
-    details
-        Print all results, however many lines they take.
     """
     device = choose_box(box, sys.stderr)
     with conversation(device, stop=stop) as connected:
@@ -118,7 +113,9 @@ def self_test(*, box: str | None = None, stop: bool = False) -> Answer:
     tested = findings(results, device)
     verdicts = Counter(finding.values["verdict"] for finding in tested.values())
     counts = {"passed": verdicts[PASS], "warned": verdicts[WARN], "failed": verdicts[FAIL], "box": one_line_of(ident)}
-    faults = [fault for fault in ident.faults if not fault.startswith("the box says 'self-test")]
+    faults = [
+        fault for fault in ident.faults if not fault.startswith(("the box says 'self-test", 'the box says "self-test'))
+    ]
     stated = [
         Finding("box-failed" if verdicts[FAIL] else "box-passed", counts),
         *sorted(tested.values(), key=lambda finding: finding.values["verdict"] != FAIL),

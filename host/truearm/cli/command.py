@@ -99,7 +99,7 @@ class Answer:
 
     These are ``lines`` (with ``--details``: the ``tables``), or findings with the ``tables`` of ``--details`` and the files that were ``written``; findings and
     files are the document's by default.
-    ``details_hint`` says how to get the rest. ``end`` is the exit code, or the error that is raised after printing.
+    ``details_hint`` says how to get the rest; without it, no finding is cut. ``end`` is the exit code, or the error that is raised after printing.
     """
 
     document: Any
@@ -112,18 +112,18 @@ class Answer:
 
     def show(self, as_json: bool, details: bool | None) -> None:
         """Print it; ``details`` is None for a command that has none."""
-        from truearm.cli.findings_text import show
+        from truearm.cli.findings_text import DETAILS, show
 
         if as_json:
             print_json(self.document)
         elif self.lines is not None:
             print_lines(map(str, self.tables) if details else self.lines)
         else:
-            usual = "" if details is None else "All notes and tables: --details"
+            usual = "" if details is None else DETAILS
             hint = usual if self.details_hint is None else self.details_hint
             findings = findings_of(self.document) if self.findings is None else self.findings
             written = self.document.get("written", ()) if self.written is None else self.written
-            show(findings, self.tables if details else None, written, hint)
+            show(findings, self.tables, written, hint, bool(details))
         if isinstance(self.end, TruearmError):
             raise self.end
         if self.end is not ExitCode.DONE:

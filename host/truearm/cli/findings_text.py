@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 from collections.abc import Iterable, Sequence
@@ -16,22 +17,28 @@ from truearm.text import counted, one_line
 
 MAX_LINES = 15  # of the short form
 IN_FILES = 120  # columns of a file or a pipe
+DETAILS = "All notes and tables: --details"
 
 
 def show(
     findings: Sequence[Finding],
-    tables: Iterable[Table | str] | None = None,
+    tables: Iterable[Table | str] = (),
     written: Iterable[Path | str | None] = (),
-    hint: str = "All notes and tables: --details",
+    hint: str = DETAILS,
+    details: bool = False,
 ) -> None:
     """Print findings and the files that were written.
 
-    Without ``tables``, notes are left out, and what is more than MAX_LINES lines; ``hint`` says where they are. With
-    them, advice follows the tables.
+    Without ``details``, notes and tables are left out, and what is more than MAX_LINES lines, but no refusal; ``hint``
+    says where they are, and without it nothing but notes is left out. With them, advice follows the tables.
     """
     files = [f"Written: {one_line(str(path))}" for path in written if path is not None]
-    if tables is None:
-        lines = _short(findings, MAX_LINES - len(files), hint)
+    if not details:
+        lines = _short(findings, MAX_LINES - len(files) if hint else math.inf)
+        left_out = len(findings) > len(lines) or next(iter(tables), None) is not None
+        hidden = sum(finding.severity is not Severity.NOTE for finding in findings) - len(lines)
+        more = f"{counted(hidden, 'more finding')}. " if hidden else ""
+        lines += [more + hint] if hint and left_out else []
     else:
         advice = [finding for finding in findings if finding.severity is Severity.ADVICE]
         stated = [_lines(finding) for finding in findings if finding not in advice]
@@ -40,13 +47,15 @@ def show(
         print(line)
 
 
-def _short(findings: Sequence[Finding], room: int, hint: str) -> list[str]:
-    """Return all findings but notes, in at most ``room`` lines."""
-    texts = [_lines(finding) for finding in findings if finding.severity is not Severity.NOTE]
-    ends = accumulate(text.count("\n") + 1 for text in texts)
-    shown = sum(end < room for end in ends)
-    hidden = len(texts) - shown
-    return [*texts[:shown], f"{counted(hidden, 'more finding')}. {hint}" if hidden else hint] if hint else texts[:shown]
+def _short(findings: Sequence[Finding], room: float) -> list[str]:
+    """Return all refusals, and other findings but notes, in less than ``room`` lines."""
+    stated = [(finding, _lines(finding)) for finding in findings if finding.severity is not Severity.NOTE]
+    ends = accumulate(text.count("\n") + 1 for _, text in stated)
+    return [
+        text
+        for (finding, text), end in zip(stated, ends, strict=True)
+        if end < room or finding.severity is Severity.REFUSAL
+    ]
 
 
 def _lines(finding: Finding) -> str:

@@ -344,7 +344,7 @@ def inspect(session: Path, *, details: bool = False, json: bool = False, allow_d
     for document in (first, *further):
         if document is not first:
             click.echo(f"\n{one_line(document['file'])} continues it:")
-        show(session_findings(document), session_tables(document) if details else None)
+        show(session_findings(document), session_tables(document), details=details)
 
 
 @command()

@@ -90,7 +90,8 @@ def relabel(
 
     nominal = robot.load() if robot.robot else None
     document = relabel_session(session, nominal, trust, mounted, read_rig(rig) if rig else None)
-    return Answer(document, written=document["saved"])
+    hint = None if document["saved"] else ""  # --mounted needs the number of every dwell
+    return Answer(document, written=document["saved"], details_hint=hint)
 
 
 @command(app, "add-joints", files=files_help())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
-from truearm.findings import Finding, entries, ordered, stated
+from truearm.findings import Finding, entries, stated
 from truearm.live.session_progress import check_mounted
 from truearm.model.robot import Robot
 from truearm.progress import step
@@ -74,7 +74,7 @@ def relabel(
     }
     open_dwells = [Finding("dwell-left-out", row) for row in left_out]
     following = Finding("labels-written" if saved else "labels-next")
-    return {**document, "findings": entries(ordered([stated("labels", document), *open_dwells, following]))}
+    return {**document, "findings": entries([stated("labels", document), following, *open_dwells])}
 
 
 def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing | None, p: float) -> DwellLabel:

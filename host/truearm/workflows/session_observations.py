@@ -91,7 +91,9 @@ def paired(session: Session, survey: Survey, rig: Rig | None = None) -> SyncResu
 
     rig = rig or attached_rig(session, session.path)
     if rig is None:
-        raise InputError("was recorded without a rig; give a rig to get observations")
+        raise InputError(
+            "the session was recorded without a rig; truearm identify and truearm session export take one with --rig"
+        )
     return observations(survey, rig, session.path.name, labels=read_labels(session.path))
 
 
