@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,7 +41,7 @@ from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
 from truearm.workflows import identify as identification
 from truearm.workflows import map as maps
-from truearm.workflows.calibration import Calibration, Identification, read_calibration
+from truearm.workflows.calibration import Calibration, Identification, calibration_of, read_calibration
 from truearm.workflows.identify import DEFAULTS, IdentifyOptions, Progress
 from truearm.workflows.inputs import Observed, Sources, completed_rigs, read_sources
 from truearm.workflows.plan import BallBarOptions
@@ -417,7 +417,7 @@ def validate(
 
 @checked
 def read_result(
-    path: PathLike, robot: PathLike | None = None, base: str | None = None, tip: str | None = None
+    path: PathLike, robot: RobotArgument | PathLike | None = None, base: str | None = None, tip: str | None = None
 ) -> Calibration:
     """Read a result.json (docs/reference/result-format.md) and the robot that it belongs to.
 
@@ -425,8 +425,8 @@ def read_result(
     ----------
     path : str or path
         File written by ``write_result`` or ``truearm identify --out``.
-    robot : str or path, optional
-        The robot that was identified. Default: the built-in robot named in the file.
+    robot : Robot, str or path, optional
+        The nominal robot that was identified, as for ``identify``. Default: the built-in robot named in the file.
     base, tip : str, optional
         First and last link of the chain in a URDF. Default: as identified.
 
@@ -446,6 +446,12 @@ def read_result(
     >>> truearm.read_result("result.json").parameters["link2.x"].unit
     'm'
     """
+    if isinstance(robot, Robot):
+        if base or tip:
+            raise InputError(
+                "no-effect", place=Argument("base" if base else "tip"), reason="robot is one that was loaded"
+            )
+        return calibration_of(result_file.read_result(Path(path)), robot, robot.chain.name, str(path))
     name = None if robot is None else str(robot)
     return read_calibration(Path(path), robot_file.RobotChoice(name, base, tip))
 
@@ -536,6 +542,7 @@ def correct_poses(
     own_frames: bool = False,
     home: Joints | None = None,
     partial: bool = False,
+    names: Sequence[str] = (),
 ) -> Correction:
     """Correct poses so that the real robot reaches them although its controller uses the nominal model.
 
@@ -554,6 +561,8 @@ def correct_poses(
         needed if joint limits allow several: each needs another correction.
     partial : bool
         Correct the other poses if some cannot be corrected: for these, ``commanded`` and ``q`` are NaN.
+    names : sequence of str
+        The names of the poses, for the column ``name`` of ``to_pandas``. Default: none.
 
     Returns
     -------
@@ -580,7 +589,9 @@ def correct_poses(
     targets = floats("poses", poses, None, 4, 4, or_one=True)
     _check_rigid("poses", targets)
     options = CorrectOptions(Method(method), own_frames=own_frames, home=_joints("home", home))
-    return correct.corrected_poses(result, targets, options, partial)
+    if len(names) not in (0, len(targets)):
+        raise InputError(Argument("names"), f": must be {counted(len(targets), 'name')}, one per pose, or none")
+    return replace(correct.corrected_poses(result, targets, options, partial), name=tuple(names))
 
 
 @checked

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
 
+import msgspec
 import numpy as np
 import pytest
 from identify_bench import exact_lengths
@@ -262,6 +263,15 @@ def test_a_rig_may_be_read_or_a_file_for_every_function(folder, robot, table, ri
     assert judged[0] == judged[1]
 
 
+def test_the_robot_of_a_result_is_the_calibrated_one(folder, robot, result):
+    """However a result was made: its poses are not those of the robot that was loaded."""
+    q = np.array([[0.3, -0.6, 0.5, 0.2, 0.8, 0.1]])
+    for read in (result, truearm.read_result(folder / "result.json", robot)):
+        np.testing.assert_array_equal(read.robot.forward(q), read.forward(q))
+        assert np.abs(read.robot.forward(q) - robot.forward(q)).max() > 1e-5
+    assert str(result.robot) == f"{robot}, calibrated"
+
+
 def test_poses_that_cannot_be_corrected_have_a_status_if_the_others_are_wanted(result):
     q = np.array([[0.3, -0.6, 0.5, 0.2, 0.8, 0.1]])
     poses = np.concatenate([result.robot.forward(q), result.robot.forward(q) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1]])
@@ -319,8 +329,13 @@ def test_columns_become_a_data_frame(table, result, monkeypatch):
     assert parameters["sigma"][list(parameters["name"]).index("link2.x")] == result.parameters["link2.x"].sigma
     pose = result.robot.forward([[0.3, -0.6, 0.5, 0.2, 0.8, 0.1]])
     corrected = truearm.correct_poses(result, pose, home=[0.3, -0.6, 0.5, 0.2, 0.8, 0.1])
-    six = [*("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"), *(f"q{i}" for i in range(1, 7))]
-    assert list(corrected.to_pandas()) == [*six, "before_m", "after_m", "before_rad", "after_rad", "status"]
+    six = [*("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"), *(f"q{i}_rad" for i in range(1, 7))]
+    errors = ["before_m", "after_m", "before_rad", "after_rad"]
+    assert list(corrected.to_pandas()) == [*six, *errors, "status"]
+    simulated = replace(result, stored=msgspec.structs.replace(result.stored, simulated=True))
+    named = truearm.correct_poses(simulated, pose, home=[0.3, -0.6, 0.5, 0.2, 0.8, 0.1], names=["A"]).to_pandas()
+    assert list(named) == ["name", *six, *errors, "simulated", "status"]
+    assert (named["name"][0], named["simulated"][0]) == ("A", "yes")
 
 
 def test_without_pandas_the_message_says_so(table, monkeypatch):
@@ -353,6 +368,9 @@ WRONG = [
     (InputError, "poses: number 1 ", lambda a: truearm.correct_poses(a.result, [np.eye(4), 2.0 * np.eye(4)])),
     (InputError, "poses: number 0 ", lambda a: truearm.correct_poses(a.result, np.diag([1.0, 1.0, -1.0, 1.0]))),
     (TargetError, "pose 0", lambda a: truearm.correct_poses(a.result, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1])),
+    (InputError, "names: must be 1 name", lambda a: truearm.correct_poses(a.result, np.eye(4), names=["A", "B"])),
+    (InputError, "tip has no effect", lambda a: truearm.read_result(a.folder / "result.json", a.robot, tip="tool0")),
+    (InputError, "its parameters differ from those of robot panda", lambda a: truearm.read_result(a.folder / "result.json", truearm.load_robot("panda"))),
     (InputError, "method: 'magic'", lambda a: truearm.correct_poses(a.result, np.eye(4), method="magic")),
     (InputError, "joints 2,9: must be two joints", lambda a: truearm.error_map(a.result, (2, 9))),
 ]  # fmt: skip

@@ -56,7 +56,8 @@ class Correction(Displayed):
     ``q`` (n, j) are the joint readings to move to, and ``q_nominal`` (n, j) those that the controller would use without
     correction. ``commanded`` (n, 4, 4) are the poses to command. ``before`` and ``after`` (n, 2) are the errors of the
     end in m and rad, or of the tool by ``at_tools``. ``problem`` says why a row must not be used, "" if it may be; what
-    was not found for it is NaN.
+    was not found for it is NaN. ``name`` are the names that were given for the targets, ``joint_units`` "rad" or "m" for
+    each joint, and ``simulated`` says whether the calibration is.
 
     Examples
     --------
@@ -75,6 +76,9 @@ class Correction(Displayed):
     before: Floats
     after: Floats
     problem: tuple[str, ...]
+    name: tuple[str, ...] = ()
+    joint_units: tuple[str, ...] = ()
+    simulated: bool = False
 
     @property
     def status(self) -> tuple[str, ...]:
@@ -87,14 +91,16 @@ class Correction(Displayed):
 
     def _columns(self) -> Mapping[str, Any]:
         six = np.concatenate([self.commanded[:, :3, 3], rotation_vector(self.commanded[:, :3, :3])], axis=1)
-        titles = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+        titles = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"]
+        titles += [f"q{i}_{unit}" for i, unit in enumerate(self.joint_units, start=1)]
         return {
-            **dict(zip(titles, six.T, strict=True)),
-            "q": self.q,
+            "name": self.name or [""] * len(self.q),
+            **dict(zip(titles, [*six.T, *self.q.T], strict=True)),
             "before_m": self.before[:, 0],
             "after_m": self.after[:, 0],
             "before_rad": self.before[:, 1],
             "after_rad": self.after[:, 1],
+            "simulated": ["yes" * self.simulated] * len(self.q),
             "status": self.status,
         }
 
@@ -143,7 +149,9 @@ def correct(
 def joined(corrections: Sequence[Correction]) -> Correction:
     """Return the targets of each part after those of the one before."""
     names = ("q_nominal", "q", "commanded", "before", "after")
-    arrays = {name: np.concatenate([getattr(correction, name) for correction in corrections]) for name in names}
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(correction, name) for correction in corrections]) for name in names
+    }
     return Correction(**arrays, problem=tuple(problem for correction in corrections for problem in correction.problem))
 
 

@@ -65,7 +65,8 @@ class Robot(Displayed):
     ``source`` is the origin of the numbers, "" if unknown. ``branch`` is required for plans. Without ``capsules``, links
     count as capsules of 50 mm radius there. Both are None if the file has none. ``file`` is the file that the robot was
     read from (a URDF has the suffix .urdf or .xml), "" for a built-in robot. ``checksums`` of a Universal Robots
-    controller's joints identify the factory calibration that the nominal values are.
+    controller's joints identify the factory calibration that the nominal values are. ``identified`` (p,) are the parameters
+    of a calibration's robot, None of one that is only described.
 
     Examples
     --------
@@ -84,6 +85,7 @@ class Robot(Displayed):
     file: str = ""
     gravity: tuple[float, float, float] | None = None  # its direction in the base frame; None: not in the file
     checksums: tuple[int, ...] = ()
+    identified: Floats | None = None
 
     def __str__(self) -> str:
         return self._headline()
@@ -93,6 +95,7 @@ class Robot(Displayed):
         return (
             f"{chain.name}: {counted(len(chain.joints), 'joint')}, {chain.base_frame} to {chain.end_frame}, "
             f"{counted(len(chain.parameters), 'parameter')}, {int(self.free.sum())} free"
+            f"{'' if self.identified is None else ', calibrated'}"
         )
 
     def _columns(self) -> Mapping[str, Any]:
@@ -101,9 +104,10 @@ class Robot(Displayed):
         return {"name": names, "unit": units, "nominal": self.chain.params_nominal, "free": self.free}
 
     def forward(self, q: ArrayLike) -> Floats:
-        """Return the poses (n, 4, 4) of the nominal robot's end in the base frame at joint readings q (n, j), or one.
+        """Return the poses (n, 4, 4) of the end in the base frame at joint readings q (n, j), or one.
 
-        ``forward`` of a ``Calibration`` is that of the identified robot. Raises TypeError, InputError.
+        They are those of the nominal robot, but of the identified one, with its joint laws, if it is a calibration's
+        ``robot``. Raises TypeError, InputError.
 
         Examples
         --------
@@ -111,7 +115,9 @@ class Robot(Displayed):
         >>> truearm.load_robot("puma560").forward([[0.0] * 6]).shape
         (1, 4, 4)
         """
-        return poses(self.chain, self.chain.params_nominal, q)
+        params = self.chain.params_nominal if self.identified is None else self.identified
+        ends = forward(self.chain, params, floats("q", q, None, len(self.chain.joints), or_one=True))
+        return ends[0] if np.ndim(q) == 1 else ends
 
     @property
     def drawing(self) -> Floats | None:
@@ -123,12 +129,6 @@ class Robot(Displayed):
     def is_urdf(self) -> bool:
         """Return whether it was read from a URDF, which does not say which parameters are fixed: all but the gains are free."""
         return self.file.lower().endswith((".urdf", ".xml"))
-
-
-def poses(chain: Chain, params: Floats, q: ArrayLike) -> Floats:
-    """Return the end's poses (n, 4, 4) at joint readings q (n, j), or (4, 4) at q (j,). Raises TypeError, InputError."""
-    ends = forward(chain, params, floats("q", q, None, len(chain.joints), or_one=True))
-    return ends[0] if np.ndim(q) == 1 else ends
 
 
 def builtin_robot(name: str) -> Robot:

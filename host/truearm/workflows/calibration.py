@@ -21,7 +21,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain, point_jacobians
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
-from truearm.model.robot import Robot, poses
+from truearm.model.robot import Robot
 from truearm.model.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
@@ -87,7 +87,7 @@ class Calibration(Displayed):
         >>> truearm.read_result("result.json").forward([0.0] * 6).shape
         (4, 4)
         """
-        return poses(self.chain, self.identified, q)
+        return self.robot.forward(q)
 
     @property
     def simulated(self) -> bool:
@@ -268,6 +268,7 @@ def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Ca
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or implausible; identify again")
+    robot = replace(robot, identified=identified)
     return Calibration(robot, stored, nominal, identified, covariance_of(stored, names), unseen_of(stored, names))
 
 

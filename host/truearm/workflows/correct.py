@@ -105,7 +105,7 @@ def corrected_poses(
         _refuse(done, places, consequence="")
     refused = np.array([problem != "" for problem in done.problem])
     q, commanded = np.where(refused[:, None], np.nan, done.q), np.where(refused[:, None, None], np.nan, commanded)
-    return replace(done, q=q, commanded=commanded)
+    return replace(done, q=q, commanded=commanded, joint_units=calibration.joint_units, simulated=calibration.simulated)
 
 
 def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
