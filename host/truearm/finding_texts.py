@@ -298,7 +298,10 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "unsuited-robot": (REASON, ""),
     "uncorrectable": (REASON, "[{home:!}give joints near those of this target with {@home}]"),
     "incomplete": (REASON, ""),
-    "link-lost": (REASON, ""),
+    "link-lost": (
+        "[{place}: ][{closed:!}the robot closed its stream without a joint reading][the box was gone at the end, and {gone}][the box sent {n} of {needed} samples of {stream} in {seconds:.0f} s][{reason}]",
+        "[{needed:!}test the box with truearm box test]",
+    ),
     "refused-by-box": (REASON, ""),
     "other-protocol": (REASON, ""),
     "usage": ("{reason} (see {command} {@help})", ""),
@@ -371,6 +374,14 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "no-answer": (
         "{place}: no answer to {request!r} in {seconds:g} s",
         "is this a truearm box, and is its firmware running?",
+    ),
+    "place-beyond": (
+        "[{place}: ]{first} and {second} are {apart} apart, more than the sensor's stroke of {stroke}",
+        "check reading and unit",
+    ),
+    "few-places": (
+        "[{place}: ]places[{measured:!} measured]: {distinct}[ ({n:#reading}; those of the same sensor value count once)], a calibration needs {least} or more",
+        "measure more of them, over the whole travel",
     ),
     "no-channel": (
         "the box has no channel {channel} (it has {names})",
@@ -710,6 +721,7 @@ BOX: Mapping[str, Statement] = {
     "flashed": result(
         "{drive}: {image} written ({size} KiB for the {chip}: [{other:!}a MicroPython without the box's firmware, or something else||the box's firmware][ {version}])[; the box answers: {box}]."
     ),
+    "box-traceback": note("its last traceback", "truearm box reset clears it"),
     "place-rejected": warning(
         "rejected: [the sensor moved by {moved} while it was sampled][{missing} of {n} stop pulses are missing][{at_end:!}the input is at the end of the converter's range]",
         "[{moved:!}do not touch it, and measure this place again][{missing:!}check that the magnet is on the rod][{at_end:!}move the sensor, or lower the channel's gain with truearm box config set]",

@@ -82,7 +82,7 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         then = [(10, "10"), (20, "20"), "", "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, [*first, *then]))
         said = printed("box", "gauge", "lvdt", "--box", device, "--sample-s", "0.2", "--order", "1")
-        assert "places measured: 3" in said
+        assert "places measured: 3, a calibration needs 5" in said
         assert "999.0000 mm and -20.0000 mm" in said
         assert re.search(r"-200.0000 mm and 0.0000 mm .* 200.0000 mm apart", said)
         assert "5 places, sigma" in said
@@ -93,7 +93,7 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         table.write_text("reference_mm\n20\n0\n-20\n0\n20\n")  # and none of the kept places
         monkeypatch.setattr(sys, "stdin", Operator(world, ["no"]))
         assert box("gauge", "lvdt", "--box", device, "--references", table, "--force") == 2
-        assert "steps.csv: 3 different references" in capsys.readouterr().err
+        assert "steps.csv: places: 3, a calibration needs 5" in capsys.readouterr().err
         table.write_text("reference_mm\n-20\n-10\n0\n10\n20\n")
         lines = ["no", (-20, ""), "q", *((mm, "") for mm in (-10, 0, 10, 20)), "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))

@@ -6,7 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
+from truearm.box.gauge_places import check_references
 from truearm.box.gauge_polynomial import chosen, fit, fits, head_of, possible_orders
+from truearm.errors import InputError
+from truearm.findings import Finding
 
 TRUTH = np.array([-4.2e-4, 3.79e-2, 2.1e-4, -3.3e-4])  # an LVDT's: zero, gain, and 0.5 % of curvature, m and V
 
@@ -94,3 +97,13 @@ def test_a_magnetostrictive_head_gets_back_its_velocity_and_delay():
     assert delay_ns == pytest.approx(1200, abs=1e-6)  # rounding of y, 1 m, is 1e-16 m or 4e-11 ns; of x/span more
     with pytest.raises(ValueError, match="rise"):
         head_of(fit(x, -y, 1))
+
+
+def test_references_that_make_no_calibration_are_refused_by_code_and_values():
+    with pytest.raises(InputError) as few:
+        check_references([0.0, 0.01, 0.01], [0.02], 0.1, "steps.csv")
+    assert few.value.finding == Finding("few-places", {"place": "steps.csv", "distinct": 3, "least": 5})
+    with pytest.raises(InputError) as apart:
+        check_references([0.0, 0.01, 0.02, 0.03, 1.0], [], 0.1, "steps.csv")
+    assert apart.value.finding.code == "place-beyond"
+    assert apart.value.finding.values["stroke"] == "100 mm"

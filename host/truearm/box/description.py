@@ -30,7 +30,7 @@ def ident_lines(ident: Ident) -> list[str]:
     for fault in ident.faults:
         lines += ["", Finding("box-fault", {"fault": fault}).text()]
     if isinstance(document.get("last_error"), str):
-        lines += ["", "its last traceback (truearm box reset clears it):"]
+        lines += ["", Finding("box-traceback").text() + ":"]
         lines += ["  " + one_line(line) for line in document["last_error"].splitlines()]
     return lines
 

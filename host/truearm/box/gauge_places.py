@@ -19,7 +19,7 @@ from truearm.disk import read_bytes, read_text, write_atomic
 from truearm.errors import InputError, TableError, WriteError
 from truearm.kinds.csv_cells import read_csv
 from truearm.session.sample_noise import MeanOfSamples
-from truearm.text import counted, one_line, page
+from truearm.text import one_line, page
 from truearm.types import Floats
 from truearm.units import MM, named, suffixes
 
@@ -66,13 +66,12 @@ class Places:
         temperatures = [place.temperature for place in self.places if place.temperature is not None]
         return sum(temperatures) / len(temperatures) if temperatures else None
 
-    def too_few(self) -> str:
-        """Return why these places are not enough for a calibration; "" if they are."""
+    def too_few(self) -> InputError | None:
+        """Return why these places are not enough for a calibration; None if they are."""
         distinct, n = distinct_places(self.readings), len(self.places)
-        if distinct >= FEWEST_PLACES:
-            return ""
-        again = f" ({counted(n, 'reading')}; those of the same sensor value count once)" * (n > distinct)
-        return f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
+        again = n if n > distinct else None
+        few = InputError("few-places", measured=True, distinct=distinct, n=again, least=FEWEST_PLACES)
+        return few if distinct < FEWEST_PLACES else None
 
     def line(self, number: int) -> str:
         """Return what was measured at a place, counted from 1."""
@@ -131,17 +130,15 @@ def check_references(references: Sequence[float], measured: Sequence[float], str
     They are too few different ones, or farther apart than the sensor's ``stroke`` [m].
     """
     if (different := len({*references, *measured})) < FEWEST_PLACES:
-        raise InputError(
-            f"{file}: {counted(different, 'different reference')}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
-        )
-    if distance_message := beyond(max(references), [min(references)], stroke):
-        raise InputError(f"{file}: {distance_message}")
+        raise InputError("few-places", place=file, distinct=different, least=FEWEST_PLACES)
+    if error := beyond(max(references), [min(references)], stroke):
+        raise error.within(file)
 
 
-def beyond(reference: float, references: Sequence[float], stroke: float) -> str:
-    """Return that a reference is farther from one of the others than the sensor's stroke; "" if it is not."""
+def beyond(reference: float, references: Sequence[float], stroke: float) -> InputError | None:
+    """Return that a reference is farther from one of the others than the sensor's stroke; None if it is not."""
     farthest = max(references, key=lambda value: abs(value - reference), default=reference)
     if abs(farthest - reference) <= stroke:
-        return ""
-    first, second, distance = (MM.text(value, ".4f") for value in (reference, farthest, abs(reference - farthest)))
-    return f"{first} and {second} are {distance} apart, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"
+        return None
+    first, second, apart = (MM.text(value, ".4f") for value in (reference, farthest, abs(reference - farthest)))
+    return InputError("place-beyond", first=first, second=second, apart=apart, stroke=MM.text(stroke, ".0f"))

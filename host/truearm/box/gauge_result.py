@@ -89,8 +89,8 @@ def calibrate(places: Places, channel: Channel, order: int | None) -> Calibratio
 
     The standard deviation is at least that of the means, since few residuals may happen to be smaller.
     """
-    if missing := places.too_few():
-        raise InputError(missing)
+    if few := places.too_few():
+        raise few
     linear = channel.name == HEAD
     tried = fits(places.readings, places.references, 1 if linear else MAX_ORDER)
     if order is not None and not linear and order > tried[-1].order:

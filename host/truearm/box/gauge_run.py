@@ -157,9 +157,9 @@ class GaugeRun:
     def _answer(self, prompt: str, end: str) -> str | None:
         """Return what the operator types. ``end`` returns None, but if the places are too few only when typed twice."""
         line = self.operator.ask(prompt)
-        if line == end and self.places.places and (missing := self.places.too_few()):
+        if line == end and self.places.places and (few := self.places.too_few()):
             again = f"{end or 'an empty line'} once more ends without a calibration"
-            self.operator.say(f"  {missing}. Measure the next one; {again}")
+            self.operator.say(f"  {few.text(option)}; {again}")
             line = self.operator.ask(prompt)
         return None if line == end else line
 
@@ -173,9 +173,10 @@ class GaugeRun:
             return
         reference = parse_reference(line, UNITS[unit])
         if reference is None:
-            say(f"  {line[:40]!r} is not a reading; type the reading of the reference in {unit}, such as 12.5")
-        elif distance_message := beyond(reference, places.references.tolist(), self.stroke):
-            say(f"  {distance_message}; undo drops the last place")
+            wrong = {"place": "reference", "value": line[:40], "form": f"a reading in {unit}, such as 12.5"}
+            say(f"  {Finding('wrong-value', wrong).text(option)}")
+        elif error := beyond(reference, places.references.tolist(), self.stroke):
+            say(f"  {error.text(option)}; undo drops the last place")
         else:
             self._add(reference)
 
@@ -214,9 +215,7 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
     for _ in box.sent(0.0):  # data in transit
         continue
     if n_samples < n_needed:
-        raise LinkError(
-            f"the box sent {n_samples} of {n_needed} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
-        )
+        raise LinkError("link-lost", n=n_samples, needed=n_needed, stream=stream.name, seconds=patience_s)
     return np.concatenate(blocks)[:n_needed]
 
 

@@ -106,12 +106,12 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> Iterator[Findin
     if lost or (summary.robot_gone and counters.robot_lines):
         yield Finding("link-lost", {"reason": summary.text if lost else summary.robot_gone})
     elif with_robot and not counters.robot_lines:
-        closed = {"reason": "the robot closed its stream without a joint reading"}
-        yield Finding("link-lost", closed) if summary.reason == "robot closed" else Finding("no-joint-readings")
+        closed = summary.reason == "robot closed"
+        yield Finding("link-lost", {"closed": True}) if closed else Finding("no-joint-readings")
     if counters.robot_missing or counters.robot_unstored or counters.robot_dropped:
         yield Finding("robot-too-fast", {"n": counters.robot_missing})
     if summary.box_gone and summary.reason != "link lost":
-        yield Finding("link-lost", {"reason": f"the box was gone at the end, and {summary.box_gone}"})
+        yield Finding("link-lost", {"gone": summary.box_gone})
     elif not counters.samples:
         yield Finding("no-box-data", {"problem": "sent no sample"})
     yield from (Finding("file-loss", {"loss": loss}) for loss in summary.file_losses)
