@@ -15,7 +15,11 @@ from tests.host.findings_bench import listed, stated
 
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
+from truearm.model.chain import forward
+from truearm.model.robot import builtin_robot
 from truearm.report.result_findings import fault_findings
+
+CHUCKS_MM = (500, 300, -500), (-500, 300, -400), (100, -600, -300)
 
 
 @pytest.mark.parametrize("n", [None, 95])
@@ -93,6 +97,39 @@ def test_the_mean_of_the_causes_is_applied_on_request(run: Run, tmp_path) -> Non
     )
     offered = ["fault-choice" in {finding["code"] for finding in each["findings"]} for each in (plain, applied, one)]
     assert offered == [True, False, False]
+
+
+def test_a_cause_applied_to_many_rows_explains_them(run: Run, tmp_path) -> None:
+    """A bar that sags by 3 mm, in more rows than an examination takes: what is applied to all rows is judged by all."""
+    robot, rng, chucks = builtin_robot("puma560"), np.random.default_rng(1), np.array(CHUCKS_MM)
+    design, point = robot.parameter_sets["optimised"], np.array([0.02, 0.03, 0.12, 1.0])
+    lines = [f"kind,bar,chuck,sphere,length_m,{','.join(f'q{i}_rad' for i in range(1, 7))}"]
+    while len(lines) <= 1800:
+        q, at = rng.uniform(-2.0, 2.0, 6), (len(lines) - 1) % 3
+        way = (forward(robot.chain, design, q[None])[0] @ point)[:3] - 1e-3 * chucks[at]
+        length = float(np.linalg.norm(way))
+        if length >= 0.3:
+            read = length + 3e-3 * np.square(way[:2] / length).sum() + 2e-5 * rng.normal()
+            lines.append(f"ball_bar,b,c{at + 1},s,{float(read)!r},{','.join(map(repr, q.tolist()))}")
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    rig = ['[[bar]]\nname = "b"\nzero_mm = 1501\ntravel_mm = 3000\nsigma_mm = 0.02\nzero_sigma_mm = 0.05']
+    rig += ['[[sphere]]\nname = "s"\nxyz_mm = [20, 30, 120]\nsigma_mm = 0.01']
+    rig += [
+        f'[[chuck]]\nname = "c{i}"\nxyz_mm = {list(xyz)}\nsigma_mm = 0.01' for i, xyz in enumerate(CHUCKS_MM, start=1)
+    ]
+    (tmp_path / "rig.toml").write_text("\n".join(rig))
+    files = [tmp_path / "poses.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml", "--json"]
+    document = json.loads(run("identify", *files, "--apply", "bar.sag").out)
+    values = {entry["name"]: entry["value"] for entry in document["parameters"]}
+    found = np.array([values[parameter.name] for parameter in robot.chain.parameters])
+    q = rng.uniform(-2.0, 2.0, (500, 6))
+    missed = (forward(robot.chain, found, q) - forward(robot.chain, design, q)) @ point
+    stated_error = document["predicted_error"]["rms_mm"]
+    assert 1e3 * np.sqrt(np.square(missed).sum(axis=1).mean()) < 2.0 * stated_error
+    findings = listed(document)
+    assert findings["usable"]["remaining"]["mm"] == stated_error
+    assert "tool-error" in findings
+    assert not {"doubtful-residuals", "too-many-outliers", "tool-error-shown"} & findings.keys()
 
 
 def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> None:

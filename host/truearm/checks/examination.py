@@ -11,7 +11,7 @@ from truearm.checks.averaging import Average, Choice, averaged, unseen
 from truearm.checks.catalogue import LAST_MOVE
 from truearm.checks.evidence import Design, Weighed, amount_of
 from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left_out
-from truearm.checks.whitened import WhitenedFit, whitened_fit
+from truearm.checks.whitened import MOST_ROWS, WhitenedFit, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.circumstances import measured_order
 from truearm.estimate.outliers import HEAVY, MOST_BAD, single
@@ -75,12 +75,13 @@ def examined(
     estimate: Estimate,
     effects: tuple[Effect, ...] = (),
     any_base: bool = False,
+    most_rows: int = MOST_ROWS,
 ) -> Examination | None:
     """Examine an estimate from ``identify`` that has ``effects`` as parameters.
 
     ``any_base``: the pose of the base is a choice of frame. Returns None for a fit without degrees of freedom, or one
     distorted beyond GROSS. Findings that move the tool too far for an analysis of first order, such as all sockets of a
-    place where nothing else knows the scale, are none.
+    place where nothing else knows the scale, are none. Of more than ``most_rows`` a selection is examined.
     """
     if estimate.chi2_freedom < 1.0:
         return None
@@ -94,7 +95,7 @@ def examined(
 
     def by_weights(weight: Floats) -> Examination | None:
         fit = whitened_fit(
-            problem, estimate.value, estimate.free, measured, weight[fitted], estimate.weight[fitted], *laws
+            problem, estimate.value, estimate.free, measured, weight[fitted], estimate.weight[fitted], laws, most_rows
         )
         return of_fit(fit, gram, covariance, table, estimate.free)
 

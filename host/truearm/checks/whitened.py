@@ -24,6 +24,9 @@ from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
 MOST_ROWS = 1000  # of a longer table, an evenly spaced selection is examined
+MOST_APPLIED = (
+    5000  # where a cause is applied, which changes a fit of all rows: 17 s and 1 GB; 20,000 take 350 s and 10 GB
+)
 
 
 class ArmParameter(NamedTuple):
@@ -137,19 +140,19 @@ def whitened_fit(
     measured: Measured,
     weight: Floats,
     of_loss: Floats,
-    laws: range = range(0),
-    law_prior: Floats | None = None,
+    laws: tuple[range, Floats | None] = (range(0), None),
+    most_rows: int = MOST_ROWS,
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
     ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight`` (n,),
     and was fitted with the weight ``of_loss`` (n,).
     The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without it they
-    would explain anything. ``law_prior`` (l, l) is a root of its precision.
+    would explain anything. With it comes a root (l, l) of its precision.
     """
     rows = np.concatenate([group.row for group in problem.groups if group.row is not None])
     rows_used = np.flatnonzero(np.bincount(rows))  # at once, unlike unique rows
-    examined = rows_used[:: -(-rows_used.size // MOST_ROWS)]
+    examined = rows_used[:: -(-rows_used.size // most_rows)]
     problem, measured = only(problem, np.isin(np.arange(problem.n_rows), examined)), measured.take(examined)
     p, k = problem.n_robot, int(columns.sum())
     faults = [{(f.item, f.form): f for f in group.faults(problem.chain, x)} for group in problem.groups]
@@ -178,7 +181,8 @@ def whitened_fit(
     jac, fault_jac, *by_forms, residual = np.split(whitened, ends, axis=1)
 
     arm = ~problem.of_rig
-    arm[laws] = False
+    of_laws, law_prior = laws
+    arm[of_laws] = False
     wide, vague = (np.array([getattr(UNITS[u], size) for u in problem.units]) for size in ("wide_sigma", "vague_sigma"))
     mounted = np.pad(mounting(problem.chain, x[:p]).either, (0, wide.size - p))
     leeway, error = np.where(mounted, vague, wide), problem.start - x
@@ -187,7 +191,7 @@ def whitened_fit(
     def with_prior(sigma: Floats, error: Floats) -> Floats:
         rows = np.diag(1.0 / sigma)
         if law_prior is not None:
-            rows[laws.start : laws.stop, laws.start : laws.stop] = law_prior.T
+            rows[np.ix_(of_laws, of_laws)] = law_prior.T
         return np.concatenate([rig_prior, np.column_stack([rows, rows @ error])[columns][:, [*free, -1]]])
 
     return WhitenedFit(

@@ -106,7 +106,8 @@ def verdict(document: Document) -> Finding:
         values = {"unjudged": True, "rows": "the fitted rows"}
         values |= {name: sizes(document, f"rms_{name}") for name in ("after", "before")}
     if document["faults"] and predicted:
-        error = {"mm": max(predicted["rms_mm"], (document["unexplained"] or {}).get("mean_mm") or 0.0)}
+        shown = None if _is_explained(document) else document["unexplained"]
+        error = {"mm": max(predicted["rms_mm"], (shown or {}).get("mean_mm") or 0.0)}
         applied = document.get("applied")
         values |= {"applied": applied, "remaining": error} if applied else {"expected": error}
     return Finding("usable", values)
@@ -200,7 +201,7 @@ def _doubts(document: Document) -> Iterator[Finding]:
         yield Finding("bad-rows", values)
     yield from copies(document)
     chi2 = document["chi2_reduced"]
-    if chi2 is not None and chi2 > CHI2_DOUBTFUL and bad is None:
+    if chi2 is not None and chi2 > CHI2_DOUBTFUL and bad is None and not _is_explained(document):
         # Least squares and robust losses read the noise from the residuals.
         reads_noise = SOLVERS[document["solver"]].reads_noise or document["loss"] != Loss.LINEAR
         values = {
@@ -210,6 +211,14 @@ def _doubts(document: Document) -> Iterator[Finding]:
         }
         yield Finding("doubtful-residuals", values)
     yield from _outside_prior(document)
+
+
+def _is_explained(document: Document) -> bool:
+    """Return whether faults that are applied explain the residuals, which are those of the fit before."""
+    applied, claim = set(document.get("applied") or ()), document.get("claim")
+    causes = ({"mean", *(rival["apply"] for rival in fault["rivals"])} for fault in document["faults"])
+    is_whole = bool(applied) and not any(map(applied.isdisjoint, causes))
+    return is_whole and claim is not None and claim["noise"] == "declared" and claim["chi2_reduced"] <= CHI2_DOUBTFUL
 
 
 def _outside_prior(document: Document) -> Iterator[Finding]:
@@ -398,7 +407,7 @@ def tool_error(document: Document) -> list[Finding]:
     if document["status"] != "converged" or not document["usable"]:
         return []
     predicted, shown, decomposition = document["predicted_error"], document["unexplained"], _decomposition(document)
-    if shown is None:
+    if shown is None or _is_explained(document):
         if predicted is None:
             return [Finding("tool-error-unpredictable")]
         largest = {"mm": predicted["max_mm"]}
@@ -541,7 +550,8 @@ def outliers(document: Document) -> Iterator[Finding]:
     if not rows or document["without_bad_rows"] is not None:
         return
     if len(rows) > MOST * fitted and all(row["weight"] == 1.0 for row in rows):
-        yield Finding("too-many-outliers", {"n": len(rows), "fitted": fitted})
+        if not _is_explained(document):
+            yield Finding("too-many-outliers", {"n": len(rows), "fitted": fitted})
         return
     laws = any(law["kept"] for law in (document["joint_laws"] or {}).get("tried", ()))
     left_out, fitted_rows = ([row for row in rows if (row["weight"] == 0.0) is is_out] for is_out in (True, False))

@@ -13,6 +13,7 @@ from truearm.arguments import Checked
 from truearm.checks.alternatives import Robots
 from truearm.checks.examination import MEAN, Examination, examined
 from truearm.checks.inputs import checked_inputs
+from truearm.checks.whitened import MOST_APPLIED, MOST_ROWS
 from truearm.errors import Argument, InputError, ProblemError, noting
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
@@ -207,6 +208,7 @@ def examine(
     estimate: Estimate,
     effects: tuple[Effect, ...] = (),
     any_base: bool = False,
+    most_rows: int = MOST_ROWS,
 ) -> Examination | None:
     """Return the examination of an estimate.
 
@@ -215,7 +217,7 @@ def examine(
     if estimate.status != "converged" and not SOLVERS[estimate.solver].ends_by_recipe:
         return None
     with step("testing for faults"):
-        return examined(chain, rig, table, estimate, effects, any_base)
+        return examined(chain, rig, table, estimate, effects, any_base, most_rows)
 
 
 def with_faults(estimate: Estimate, examination: Examination | None) -> Estimate:
@@ -362,7 +364,8 @@ def identified(
             return next(reversed(examinations.values()))
         fit = estimate.value.tobytes() + estimate.weight.tobytes()
         if fit not in examinations:
-            examinations[fit] = examine(chain, rig, table, estimate, effects, bool(chosen.base))
+            most_rows = MOST_APPLIED if causes else MOST_ROWS
+            examinations[fit] = examine(chain, rig, table, estimate, effects, bool(chosen.base), most_rows)
         return examinations[fit]
 
     def checked(estimate: Estimate, nearly: bool = False) -> Estimate:
