@@ -25,7 +25,7 @@ from truearm.correct.programs import corrected_text
 from truearm.correct.programs.data import Form
 from truearm.correct.programs.languages import language_of
 from truearm.errors import InputError
-from truearm.findings import Finding
+from truearm.findings import Finding, Reason
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.workflows import correct_program as correct_program_module
@@ -270,6 +270,13 @@ def test_an_axis_at_zero_within_rounding_has_the_data_of_where_it_goes(before, a
     assert texts == ([] if quarter == 0 else ["0", str(quarter), "0", "0"])
     turned = SimpleNamespace(target=SimpleNamespace(literal=SimpleNamespace(form=None)), turns=0)
     assert corrected_text.configuration_texts(turned, joints) == ([] if turn == 0 else [str(turn << 3)])
+
+
+def test_a_mark_names_options_as_the_command_line_does():
+    source = SimpleNamespace(line_end=lambda offset: offset)
+    move = SimpleNamespace(reason=Reason("configuration", {}), place=SimpleNamespace(file=0), end=9)
+    (mark,) = corrected_text.marks_of(SimpleNamespace(moves=[move], files=[source], language="urscript"))
+    assert "--home" in mark.text
 
 
 def robtarget_literal(*quarters):

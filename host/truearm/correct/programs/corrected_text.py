@@ -13,6 +13,7 @@ from truearm.correct.programs.census import Census
 from truearm.correct.programs.data import Form, Place
 from truearm.correct.programs.poses import plain, texts_of_poses, texts_of_readings
 from truearm.correct.programs.program import Goal, Program
+from truearm.findings import option
 from truearm.types import Floats
 
 CONFIGURED = (0, 3, 5)  # axes whose quarter turns cf1, cf4 and cf6 of a robtarget give
@@ -106,12 +107,12 @@ def configuration_texts(goal: Goal, joints: Joints | None) -> list[str]:
 
 
 def marks_of(program: Program) -> list[Replacement]:
-    """Return a comment at the end of each line with a move that is not corrected."""
+    """Return a comment at the end of each line with a move that is not corrected; options as on the command line."""
     reasons: dict[tuple[int, int], list[str]] = {}
     for move in program.moves:
         if move.reason is not None:
             end = program.files[move.place.file].line_end(move.end)
-            reasons.setdefault((move.place.file, end), []).append(move.reason.text())
+            reasons.setdefault((move.place.file, end), []).append(move.reason.text(option))
     sign = COMMENTS[program.language]
     return [
         Replacement(file, end, end, f" {sign} truearm: not corrected: {'; '.join(dict.fromkeys(texts))}")
