@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from truearm import clocks
 from truearm.clocks import RATE_LIMIT, SLEWED_WANDER, WANDER, Clock
@@ -250,51 +249,56 @@ class RobotClockReport:
 
 @dataclass
 class Arrivals:
-    """Collects (controller time, arrival) of one segment from its first reading; keeps the fastest of each cell, and sums.
+    """Collects (controller time, arrival) of one segment from its first reading; keeps the fastest of each second, and sums.
 
-    Clocks with rates 45 ppm apart drift by 45 µs in a second, which would make its first readings seem the fastest: cells
-    are shorter. They take 10 MB in six hours.
+    Clocks with rates 45 ppm apart drift by 45 µs in a second, which would make its first readings seem the fastest.
+    Cells are kept so that the drift is removed first: 10 MB in six hours. The last one may get more readings.
     """
 
     t_ref_s: float
     host_ref_ns: int
     last_s: float = float("-inf")
-    # (5, n) each: dt [s] and latency [ns] of the fastest reading; number of readings, sums of dt and latency
-    cells: list[Floats] = field(default_factory=list)
+    _cells: list[Floats] = field(default_factory=list)  # (6, n) each, see ``seconds``
+    _last_cell: Floats = field(default_factory=lambda: np.empty((6, 0)))
 
     def add(self, t_robot_s: Floats, t_host_ns: Ints) -> None:
         """Take readings (n,) in order of arrival."""
         dt = t_robot_s - self.t_ref_s
         latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
-        fastest, first = _fastest(dt, latency, 1.0 / CELLS)
-        sums = np.add.reduceat([np.ones(dt.size), dt, latency], first, axis=1)
-        self.cells.append(np.stack([dt[fastest], latency[fastest], *sums]))
+        rows = np.stack([np.floor(CELLS * dt), dt, latency, np.ones(dt.size), dt, latency])
+        cells = _merged(np.concatenate([self._last_cell, rows], axis=1))
+        self._cells.append(cells[:, :-1])
+        self._last_cell = cells[:, -1:]
         self.last_s = float(t_robot_s[-1])
 
+    def seconds(self) -> Floats:
+        """Return rows (6, k) by second: its number; dt [s] and latency [ns] of the fastest reading; number of readings,
+        sums of dt and latency.
+        """
+        cells = np.concatenate([*self._cells, self._last_cell], axis=1)
+        self._cells.clear()
+        cells[0] = np.floor(cells[0] / CELLS)
+        rough = _merged(cells)
+        rate = float(np.median(np.diff(rough[2]) / np.diff(rough[1]))) if rough.shape[1] > 1 else 0.0
+        cells[[2, 5]] -= rate * cells[[1, 4]]
+        seconds = _merged(cells)
+        seconds[[2, 5]] += rate * seconds[[1, 4]]
+        return seconds
 
-def _fastest(dt: Floats, latency: Floats, period_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the indices of the fastest and of the first of each period, of readings in order."""
-    number = np.floor(dt / period_s)
-    first = _first_of_each(number)
-    return np.lexsort((latency, number))[first], first
 
-
-def _first_of_each(number: Floats) -> NDArray[np.intp]:
-    """Return where each number of an ascending column begins."""
-    return np.flatnonzero(np.diff(number, prepend=-np.inf))
+def _merged(rows: Floats) -> Floats:
+    """Return the rows (6, k) with one column for each number in the first row."""
+    rows = rows[:, np.lexsort((rows[2], rows[0]))]
+    first = np.flatnonzero(np.diff(rows[0], prepend=-np.inf))
+    return np.concatenate([rows[:3, first], np.add.reduceat(rows[3:], first, axis=1)])
 
 
 def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, RobotClockReport]:
     """Return the clock of one segment of controller time and its report. ``arrivals`` must hold a reading."""
-    cells, rate = np.concatenate(arrivals.cells, axis=1), 0.0
-    arrivals.cells.clear()
-    for _ in range(2):  # the drift within a second is removed, to tell which reading is the fastest
-        fastest, first = _fastest(cells[0], cells[1] - rate * cells[0], 1.0)
-        dt, latency = cells[:2, fastest]
-        rate = float(np.median(np.diff(latency) / np.diff(dt))) if first.size > 1 else 0.0
-    n, dt_sum, latency_sum = np.add.reduceat(cells[2:], first, axis=1)
+    second, dt, latency, n, dt_sum, latency_sum = arrivals.seconds()
     stamps = np.rint(1e9 * dt).astype(np.int64)
-    fitted = clocks.fit(stamps, arrivals.host_ref_ns + stamps + latency.astype(np.int64), wander=SLEWED_WANDER)
+    host_ns = arrivals.host_ref_ns + stamps + latency.astype(np.int64)
+    fitted = clocks.fit(stamps, host_ns, wander=SLEWED_WANDER)
     assert fitted is not None  # there is a row
 
     def offset_at(dt_s: Floats) -> Floats:
@@ -302,10 +306,13 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
         return (fitted.to_time(t_ns)[0] - t_ns - arrivals.host_ref_ns).astype(np.float64)
 
     height, mean_height = latency - offset_at(dt), latency_sum / n - offset_at(dt_sum / n)
-    nodes = dt[np.append(_first_of_each(np.floor(dt / NODE_S)), -1)]
-    around = np.searchsorted(dt, nodes[:, None] + [-AROUND_S, AROUND_S])
+    nodes = arrivals.t_ref_s + dt[np.flatnonzero(np.diff(np.floor(dt / NODE_S), prepend=-np.inf))]
+    nodes = np.concatenate([[arrivals.t_ref_s], nodes[1:], [arrivals.last_s]])
+    nodes = nodes[np.append(np.diff(nodes) > 0.5 * NODE_S, True)]  # where readings are missing, nodes may be close
+    nodes[0] = arrivals.t_ref_s
+    around = np.searchsorted(dt, nodes[:, None] - arrivals.t_ref_s + [-AROUND_S, AROUND_S])
     bound = np.array([_bound(height[a:b], mean_height[a:b]) for a, b in around])
-    half = _first_of_each(np.floor(dt / AROUND_S))
+    half = np.flatnonzero(np.diff(np.floor(second / AROUND_S), prepend=-np.inf))
     report = RobotClockReport(
         segment=segment,
         readings=int(n.sum()),
@@ -314,7 +321,7 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
         jitter_ns=float(np.median(np.add.reduceat(mean_height * n, half) / np.add.reduceat(n, half))),
         bound_ns=float(np.max(bound)),
     )
-    return RobotClock(arrivals.t_ref_s, fitted, arrivals.t_ref_s + nodes, bound), report
+    return RobotClock(arrivals.t_ref_s, fitted, nodes, bound), report
 
 
 def _bound(height: Floats, mean_height: Floats) -> float:

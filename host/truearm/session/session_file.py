@@ -30,7 +30,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
@@ -118,18 +118,26 @@ def parse_attachment(body: bytes) -> tuple[str, bytes, bool]:
     return record.name, record.data, crc != 0
 
 
+def chunk_fits(body: bytes, length: int) -> bool:
+    """Return whether the lengths inside a chunk agree with its own."""
+    if len(body) < 40:
+        return False
+    n_name = int.from_bytes(body[28:32], "little")
+    return n_name <= 8 and 40 + n_name + int.from_bytes(body[32 + n_name : 40 + n_name], "little") == length
+
+
 def chunk_records(body: bytes, zstd: zstandard.ZstdDecompressor) -> bytes:
     """Return the records of a chunk, decompressed within bounds and with the CRC checked. Raises Unreadable.
 
     ``zstd`` may serve all chunks of one thread: to make it takes longer than to use it.
     """
+    if not chunk_fits(body, len(body)):
+        raise Unreadable
     chunk = parse(Chunk, body)
     try:
         # If the frame states its size, zstandard allocates that much regardless of max_output_size.
-        if (
-            chunk.compression not in ("zstd", "")
-            or 40 + len(chunk.compression) + len(chunk.data) != len(body)
-            or (chunk.compression and zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES)
+        if chunk.compression not in ("zstd", "") or (
+            chunk.compression and zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES
         ):
             raise Unreadable
         data = zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES) if chunk.compression else bytes(chunk.data)
@@ -261,7 +269,8 @@ MAX_BAD = 1000  # damaged records and false starts; for each, a chunk may have b
 MAX_ITEMS = 1000  # attachments, and metadata records
 REPEATED = ("/plan", "/events")  # topics of which the writer repeats messages
 _BLOCK = 1 << 20
-_LIMITS: dict[int, int] = {
+_HEAD_BYTES = 64  # of a chunk, before its contents
+_LIMITS = {
     **dict.fromkeys((Opcode.HEADER, Opcode.METADATA, Opcode.MESSAGE_INDEX), MAX_METADATA_BYTES),
     Opcode.CHUNK: MAX_CHUNK_BYTES,
     Opcode.ATTACHMENT: MAX_ATTACHMENT_BYTES,
@@ -358,29 +367,37 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
     """
     path = Path(path)
     with open_input(path) as file:
-        walk = RecordWalk(path, file)
-        if not walk.complete and not walk.has_magic:
+        quick = RecordWalk(path, file, every_record=False)
+        if not quick.complete and not quick.has_magic:
             raise SessionError("not-a-session", place=path)
-        if not walk.complete and not allow_damaged:
+        quick.walk()
+        if not quick.complete and not allow_damaged:
             raise SessionError("session-incomplete", place=path)
+        wrong_crc = quick.wrong_crc()
+        if quick.complete and not wrong_crc and (quick.crc or not allow_damaged):
+            quick.session.truncated = False
+            quick.session.attachments.pop(PLAN_COPY, None)
+            return quick.session
+        walk = RecordWalk(path, file, every_record=True)
         walk.walk()
-        if not allow_damaged and (walk.gaps or walk.wrong_crc):
-            place = f"at byte {walk.gaps[0][0]}" if walk.gaps else walk.wrong_crc
+        if not allow_damaged:
+            place = f"at byte {walk.gaps[0][0]}" if walk.gaps else wrong_crc
             raise SessionError("damaged-session", place=path, where=place)
-        return walk.salvaged()
+        return walk.salvaged(bool(wrong_crc))
 
 
 class RecordWalk:
-    """Goes through the records of a file, and searches for the next one behind a damaged one.
+    """Goes through the records of a file.
 
-    ``wrong_crc``: where a CRC of a complete file does not match, "" if nowhere. If that of all bytes matches, the file is
-    proven: its chunks stay packed.
+    ``every_record``: check each record, and search for the next one behind a damaged one. Otherwise stop there, and leave
+    the chunks packed.
     """
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
+    def __init__(self, path: Path, file: BinaryIO, every_record: bool) -> None:
         self.session = Session(path)
         self.gaps: list[tuple[int, int]] = []  # byte of each damaged place, and chunks before it
-        self._file = file
+        self.crc = 0  # of all bytes before ``_data_end``, as the file states it; 0: not stated
+        self._file, self._every_record = file, every_record
         self._size = os.fstat(file.fileno()).st_size
         file.seek(0)
         self.has_magic = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
@@ -388,46 +405,38 @@ class RecordWalk:
         self._span_ns: tuple[int, int] | None = None  # of the messages, as the end of the file states it
         self._times_ns: list[tuple[int, int]] = []  # of the messages of each chunk
         self._proven: set[str] = set()  # metadata and attachments with a CRC
-        self._ended = False  # at the end of data
-        self.wrong_crc, self._proven_file = self._check_crc() if self.complete else ("", False)
-        if self.complete and not self._proven_file:
+        self._data_end = 0
+        if every_record and self.complete:
             self._summary()
 
     def walk(self) -> None:
         """Go through all records up to the end of data."""
         offset = len(MCAP0_MAGIC) if self.has_magic else 0
-        following = records(self._file, self._size, offset)
-        while offset + RECORD.size <= self._size and not self._ended:
-            opcode, begin, length = next(following, (0, 0, 0))
-            end = begin + length
-            if not self._take(opcode, begin, length):
+        while offset + RECORD.size <= self._size and not self._data_end:
+            end = self._record(offset)
+            if end is None:
                 self.gaps.append((offset, len(self._times_ns)))
-                end = self._search(offset + 1)
-                self.session.unread_bytes += end - offset
-                following = records(self._file, self._size, end)
-            offset = end
-        self.session.unread_bytes += 0 if self._ended else self._size - offset
+                if not self._every_record:
+                    return
+                begin, offset = offset, self._search(offset + 1)
+                self.session.unread_bytes += offset - begin
+            else:
+                offset = end
+        self.session.unread_bytes += 0 if self._data_end else self._size - offset
 
-    def _summary_start(self) -> int:
-        """Return where the summary of a complete file begins, as its footer states it."""
-        footer = self._size - len(MCAP0_MAGIC) - FOOTER_BYTES
-        self._file.seek(footer)
-        return min(int.from_bytes(self._file.read(8), "little") or footer - RECORD.size, self._size)
-
-    def _check_crc(self) -> tuple[str, bool]:
-        """Return where a CRC of a complete file does not match, "" if nowhere, and whether one proves all bytes.
+    def wrong_crc(self) -> str:
+        """Return where a CRC of a complete file does not match, "" if nowhere.
 
         Other programs read the file by its summary, behind the end of data.
         """
-        begin, data_end_bytes = self._summary_start(), RECORD.size + _LIMITS[Opcode.DATA_END]
-        crc = self._crc_of_bytes(begin, self._size - len(MCAP0_MAGIC) - 4)
-        if int.from_bytes(self._file.read(4), "little") not in (0, crc):
-            return "in its summary: the CRC does not match", False
-        crc, data_end = self._crc_of_bytes(0, max(0, begin - data_end_bytes)), self._file.read(data_end_bytes)
-        stated = int.from_bytes(data_end[RECORD.size :], "little")
-        if not data_end.startswith(RECORD.pack(Opcode.DATA_END, _LIMITS[Opcode.DATA_END])) or stated not in (0, crc):
-            return "somewhere: its CRC does not match", False
-        return "", stated != 0
+        if not self._data_end:
+            return "somewhere: its end of data is missing"
+        if self.crc not in (0, self._crc_of_bytes(0, self._data_end)):
+            return "somewhere: its CRC does not match"
+        end = self._size - len(MCAP0_MAGIC) - 4
+        own_crc = self._crc_of_bytes(self._data_end + RECORD.size + _LIMITS[Opcode.DATA_END], end)
+        summary_crc = int.from_bytes(self._file.read(4), "little")
+        return "" if summary_crc in (0, own_crc) else "in its summary: the CRC does not match"
 
     def _crc_of_bytes(self, begin: int, end: int) -> int:
         """Return the CRC of these bytes, and leave the file at their end."""
@@ -437,7 +446,7 @@ class RecordWalk:
             crc = zlib.crc32(block, crc)
         return crc
 
-    def salvaged(self) -> Session:
+    def salvaged(self, wrong_crc: bool) -> Session:
         """Return the session, with what is missing in each damaged place."""
         session, times_ns, gaps = self.session, self._times_ns, list(self.gaps)
         session.truncated = not self.complete
@@ -453,28 +462,33 @@ class RecordWalk:
             lost_s, of_s, from_s = (1e-9 * max(0, ns) for ns in (begin - end, last - first, end - first))
             damage.setdefault(chunks, Damage(offset, lost_s, of_s, from_s))  # several places between two chunks are one
         session.damage = tuple(damage.values())
-        if self.wrong_crc and not session.truncated and not damage:
+        if wrong_crc and not session.truncated and not damage:
             session.damage = (Damage(None, 0.0, 0.0),)
         copy = session.attachments.pop(PLAN_COPY, None)
-        session.restored = None if copy is None or self._proven_file else _messages_of_copy(copy)
+        session.restored = None if copy is None else _messages_of_copy(copy)
         return session
 
-    def _take(self, opcode: int, begin: int, length: int) -> bool:
-        """Take the record whose body begins there, and return whether it is intact."""
-        is_first = begin == len(MCAP0_MAGIC) + RECORD.size
-        if length > _LIMITS.get(opcode, -1) or (opcode == Opcode.HEADER) != is_first:
-            return False
+    def _record(self, offset: int) -> int | None:
+        """Take the record at ``offset`` and return where it ends; None if it is damaged."""
+        self._file.seek(offset)
+        opcode, length = RECORD.unpack(self._file.read(RECORD.size))
+        begin = offset + RECORD.size
+        end: int = begin + length
+        if (
+            end > self._size
+            or length > _LIMITS.get(opcode, -1)
+            or (opcode == Opcode.HEADER) != (offset == len(MCAP0_MAGIC))
+        ):
+            return None
         session = self.session
-        if opcode == Opcode.CHUNK and self._proven_file:
-            self._times_ns.append(struct.unpack("<QQ", self._file.read(16).ljust(16, b"\0")))
+        if opcode == Opcode.CHUNK and not self._every_record:
             session.chunks.append((begin, length))
-            return True
+            return end
         body = self._file.read(length)
         try:
             if opcode == Opcode.DATA_END:
-                self._ended = length == _LIMITS[opcode]
-                return self._ended
-            if opcode == Opcode.METADATA:
+                self.crc, self._data_end = parse(DataEnd, body).data_section_crc, offset
+            elif opcode == Opcode.METADATA:
                 name, entries, proven = parse_metadata(body)
                 self._keep(session.metadata, name, entries, proven)
                 if name == CHANNELS and proven:  # wrong names would turn intact messages into others
@@ -483,19 +497,19 @@ class RecordWalk:
             elif opcode == Opcode.ATTACHMENT:
                 self._keep(session.attachments, *parse_attachment(body))
             elif opcode == Opcode.MESSAGE_INDEX:
-                return length % 16 == 6 and int.from_bytes(body[2:6], "little") == length - 6
+                return end if length % 16 == 6 and int.from_bytes(body[2:6], "little") == length - 6 else None
             elif opcode == Opcode.CHUNK:
                 messages = columns_of_records([chunk_records(body, ZstdDecompressor())], session.channels)
                 session.chunks.append((begin, length))
                 if len(messages):
                     self._times_ns.append((int(messages.log_ns.min()), int(messages.log_ns.max())))
         except Unreadable:
-            return False
-        return True
+            return None
+        return end
 
     def _keep(self, items: dict[str, Any], name: str, content: Any, proven: bool) -> None:
         """Keep metadata or an attachment. Without a CRC it may consist of zeros, and never replaces one with a CRC."""
-        if proven or (name and name not in self._proven):
+        if proven or not self._every_record or (name and name not in self._proven):
             items[name] = content
         if proven:
             self._proven.add(name)
@@ -508,14 +522,20 @@ class RecordWalk:
             raise SessionError(f"{self.session.path}: is damaged in more than {MAX_BAD} places; copy it again")
         while offset + RECORD.size <= self._size:
             self._file.seek(offset)
-            if start := _START.search(self._file.read(_BLOCK + RECORD.size - 1)):
-                return offset + start.start()
+            block = self._file.read(_BLOCK + _HEAD_BYTES)
+            for start in _START.finditer(block, 0, _BLOCK + RECORD.size - 1):
+                begin = start.start()
+                opcode, length = RECORD.unpack_from(block, begin)
+                fits = length <= _LIMITS[opcode] and length <= self._size - offset - begin - RECORD.size
+                if fits and (opcode != Opcode.CHUNK or chunk_fits(block[begin + RECORD.size :], length)):
+                    return offset + begin
             offset += _BLOCK
         return self._size
 
     def _summary(self) -> None:
         """Read what a complete file repeats at its end: its channels, and times and number of the messages."""
-        self._file.seek(self._summary_start())
+        self._file.seek(self._size - len(MCAP0_MAGIC) - FOOTER_BYTES)
+        self._file.seek(min(int.from_bytes(self._file.read(8), "little"), self._size))
         channels, summary = self.session.channels, io.BytesIO(self._file.read(MAX_SUMMARY_BYTES))
         try:
             for record in StreamReader(summary, skip_magic=True, record_size_limit=MAX_METADATA_BYTES).records:
