@@ -27,6 +27,8 @@ CURVES = ("error curve", "sigma/mrad", "in ranges/deg ", "not determined/deg ")
 
 def plan_tables(document: Document) -> Iterator[Table | str]:
     """Return lines or pairings, what can be held out, the predicted sigmas, combinations, error curves."""
+    if "parameters" not in document:  # a plan of approaches, which predicts none
+        return
     if "lines" in document:
         yield Table(PLANNED_LINES, map(_planned_line, document["lines"]))
     else:
