@@ -232,6 +232,7 @@ def test_a_recording_says_how_it_was_made(tmp_path):
     facts = dict(one.facts)
     assert (re.sub(", .*:", ":", facts["dwells"]), one.samples_lost) == ("5: none", 0)
     assert any(value.endswith(" µs") for label, value in one.facts if "clock" in label)
+    assert facts["temperature of the box"].startswith("24.0 to ")
     assert open_session(tmp_path / "s.mcap").path.name == one.name
 
 

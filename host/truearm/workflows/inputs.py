@@ -280,7 +280,8 @@ def recording_of(session: Session, result: SyncResult, reasons: Mapping[str, int
     facts.append(("samples", f"{losses.samples:,} received, {lost:,} lost; {losses.frames_lost:,} frames lost"))
     bound = US.text(max(NS.to_si(report.bound_ns) for report in reports), ".0f") if reports else "not known"
     facts.append(("error of the box's clock, at most", bound))
-    read = {one_line(name) or "unnamed": meter.extremes for name, meter in result.survey.thermometers.items()}
+    thermometers = {"box": result.survey.temperature, **result.survey.thermometers}
+    read = {one_line(name) or "unnamed": meter.extremes for name, meter in thermometers.items()}
     temperatures = tuple((name, *degc) for name, degc in read.items() if degc is not None)
     facts += [(f"temperature of the {name}", between(*degc)) for name, *degc in temperatures] or [UNRECORDED]
     sensors = tuple(dict.fromkeys(sensor for ident in idents for sensor in sensors_of(ident.document)))
