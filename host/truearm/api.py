@@ -8,7 +8,7 @@ times in seconds.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -364,6 +364,7 @@ def identify(
     >>> length.unit, length.seen
     ('m', True)
     """
+    _check_nominal(robot)
     rows = _table("table", table, robot)
     rigs = _rigs(rig, rows)
     if isinstance(hold_out, np.ndarray):
@@ -451,6 +452,7 @@ def read_result(
             raise InputError(
                 "no-effect", place=Argument("base" if base else "tip"), reason="robot is one that was loaded"
             )
+        _check_nominal(robot)
         return calibration_of(result_file.read_result(Path(path)), robot, robot.chain.name, str(path))
     name = None if robot is None else str(robot)
     return read_calibration(Path(path), robot_file.RobotChoice(name, base, tip))
@@ -542,7 +544,7 @@ def correct_poses(
     own_frames: bool = False,
     home: Joints | None = None,
     partial: bool = False,
-    names: Sequence[str] = (),
+    names: Iterable[str] | None = None,
 ) -> Correction:
     """Correct poses so that the real robot reaches them although its controller uses the nominal model.
 
@@ -561,7 +563,7 @@ def correct_poses(
         needed if joint limits allow several: each needs another correction.
     partial : bool
         Correct the other poses if some cannot be corrected: for these, ``commanded`` and ``q`` are NaN.
-    names : sequence of str
+    names : iterable of str, optional
         The names of the poses, for the column ``name`` of ``to_pandas``. Default: none.
 
     Returns
@@ -589,9 +591,10 @@ def correct_poses(
     targets = floats("poses", poses, None, 4, 4, or_one=True)
     _check_rigid("poses", targets)
     options = CorrectOptions(Method(method), own_frames=own_frames, home=_joints("home", home))
-    if len(names) not in (0, len(targets)):
+    named = tuple(names or ())
+    if len(named) not in (0, len(targets)):
         raise InputError(Argument("names"), f": must be {counted(len(targets), 'name')}, one per pose, or none")
-    return replace(correct.corrected_poses(result, targets, options, partial), name=tuple(names))
+    return replace(correct.corrected_poses(result, targets, options, partial), name=named)
 
 
 @checked
@@ -752,6 +755,11 @@ def _mask(hold_out: NDArray[np.bool_], table: ObservationTable) -> NDArray[np.bo
     if hold_out.all():
         raise InputError("nothing-left", what="observations", place="hold_out")
     return hold_out
+
+
+def _check_nominal(robot: Robot) -> None:
+    if robot.identified is not None:
+        raise InputError(Argument("robot"), ": is that of a calibration; give the nominal one, of load_robot")
 
 
 def _texts(value: str | Sequence[str]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import inspect
 import numbers
 import re
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from enum import StrEnum
@@ -137,10 +137,15 @@ def _fit(name: str, value: Any, hint: Any) -> Any:
             raise _Misfit
         return tuple(_fit(name, item, kind) for item, kind in zip(value, kinds, strict=True))
     kind: Any = {int: numbers.Integral, float: numbers.Real, bool: bool | np.bool_}.get(hint, origin or hint)
-    excluded = bool if hint in (int, float) else str if origin is Sequence else ()  # which Python counts among them
+    excluded = (
+        bool if hint in (int, float) else str if origin in (Sequence, Iterable) else ()
+    )  # which Python counts among them
     if not isinstance(value, kind) or isinstance(value, excluded):
         raise _Misfit
-    for items in ([item] for item in value) if origin is Sequence else value.items() if origin is Mapping else ():
+    value = tuple(value) if origin is Iterable else value
+    for items in (
+        ([item] for item in value) if origin in (Sequence, Iterable) else value.items() if origin is Mapping else ()
+    ):
         for item, kind_of_item in zip(items, kinds, strict=True):
             _fit(name, item, kind_of_item)
     return value.item() if isinstance(value, np.generic) else value

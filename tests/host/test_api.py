@@ -336,6 +336,9 @@ def test_columns_become_a_data_frame(table, result, monkeypatch):
     named = truearm.correct_poses(simulated, pose, home=[0.3, -0.6, 0.5, 0.2, 0.8, 0.1], names=["A"]).to_pandas()
     assert list(named) == ["name", *six, *errors, "simulated", "status"]
     assert (named["name"][0], named["simulated"][0]) == ("A", "yes")
+    for names in (np.array(["A"]), named["name"], (name for name in "A")):
+        assert truearm.correct_poses(result, pose, home=[0.3, -0.6, 0.5, 0.2, 0.8, 0.1], names=names).name == ("A",)
+    assert truearm.correct_poses(result, pose, home=[0.3, -0.6, 0.5, 0.2, 0.8, 0.1], names=None).name == ()
 
 
 def test_without_pandas_the_message_says_so(table, monkeypatch):
@@ -369,6 +372,10 @@ WRONG = [
     (InputError, "poses: number 0 ", lambda a: truearm.correct_poses(a.result, np.diag([1.0, 1.0, -1.0, 1.0]))),
     (TargetError, "pose 0", lambda a: truearm.correct_poses(a.result, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1])),
     (InputError, "names: must be 1 name", lambda a: truearm.correct_poses(a.result, np.eye(4), names=["A", "B"])),
+    (TypeError, "names: must be Iterable[str] or None", lambda a: truearm.correct_poses(a.result, np.eye(4), names="A")),
+    (TypeError, "names: must be Iterable[str] or None", lambda a: truearm.correct_poses(a.result, np.eye(4), names=[1])),
+    (InputError, "robot: is that of a calibration; give the nominal one", lambda a: truearm.identify(a.result.robot, a.table, a.rig)),
+    (InputError, "robot: is that of a calibration; give the nominal one", lambda a: truearm.read_result(a.folder / "result.json", a.result.robot)),
     (InputError, "tip has no effect", lambda a: truearm.read_result(a.folder / "result.json", a.robot, tip="tool0")),
     (InputError, "its parameters differ from those of robot panda", lambda a: truearm.read_result(a.folder / "result.json", truearm.load_robot("panda"))),
     (InputError, "method: 'magic'", lambda a: truearm.correct_poses(a.result, np.eye(4), method="magic")),
