@@ -895,7 +895,7 @@ MAP: Mapping[str, Statement] = {
     "map-sigma-unknown": warning("Error with calibration: unknown in {n} of {cells:#cell}."),
     "joints-outside": warning(
         '[Outside in every cell: {joints}.||In {n:#cell} a joint is outside the readings that the calibration was identified from ("covered" is 0 in the table; pale in the picture).]',
-        "[{joints:!}Give other readings with {@at}, or leave it out.]",
+        "[{joints:!}Give other readings with {@at}][{given:!}, or leave it out][{joints:!}.]",
     ),
 }
 

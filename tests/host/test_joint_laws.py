@@ -41,7 +41,7 @@ from truearm.workflows.correct import correct_file
 from truearm.workflows.export import curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, identified
 from truearm.workflows.inputs import Observed
-from truearm.workflows.map import Section, map_files, mapped
+from truearm.workflows.map import Section, map_files, map_findings, mapped
 from truearm.workflows.requests import CorrectFiles, CorrectOptions, MapFiles
 from truearm.workflows.validate import validated
 
@@ -459,8 +459,13 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     reached = ~np.isnan(everywhere.error)
     assert everywhere.outside[reached].all()  # joint 1 stands in the gap
     files = MapFiles(tmp_path / "result.json", tmp_path / "map.csv", tmp_path / "map.svg")
-    outside = Finding("joints-outside", {"joints": ["joint1"]})
-    assert outside in findings_of(map_files(found, files, section))
+    outside = Finding("joints-outside", {"joints": ["joint1"], "given": True})
+    (said,) = (one for one in findings_of(map_files(found, files, section)) if one == outside)
+    assert said.text().endswith("with at, or leave it out.")
+    by_default = mapped(found, Section(cell=0.1))  # at readings next to the gap
+    assert not by_default.outside[~np.isnan(by_default.error)].any()
+    (said,) = (one for one in map_findings(found, Section(), everywhere) if "joints" in one.values)
+    assert said.text().endswith("with at.")
     section = replace(section, at=(0.8, *section.at[1:]))
     some = mapped(found, section)
     q = (some.q[reached] + np.pi) % (2.0 * np.pi) - np.pi  # a curve repeats after a turn

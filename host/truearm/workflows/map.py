@@ -20,7 +20,7 @@ from truearm.report.page import html_page, scrolled
 from truearm.report.page import section as page_section
 from truearm.results import Figures
 from truearm.text import one_line
-from truearm.types import Floats
+from truearm.types import CurveKnots, Floats
 from truearm.units import MM, key, number
 from truearm.workflows.calibration import Calibration, check_joints, chosen_mountings, undetermined, unseen_within
 from truearm.workflows.requests import MapFiles, Section
@@ -66,6 +66,11 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     a, b = section.joints
     if q is None:
         q = np.zeros(len(chain.joints)) if readings is None else np.mean([readings.lower, readings.upper], axis=0)
+        for law in calibration.stored.laws:
+            if isinstance(law, CurveKnots) and readings is not None:  # of the readings, the middle may be a gap
+                tried = np.linspace(readings.lower[law.joint], readings.upper[law.joint], 721)
+                seen = tried[law.covers(tried)]
+                q[law.joint] = seen[np.argmin(np.abs(seen - q[law.joint]))] if seen.size else q[law.joint]
         q[min(a, b) : max(a, b) - 1] = 0.0  # between the two: elsewhere their axes may not be parallel
     if min(a, b) < 1 or max(a, b) > q.size or a == b:
         raise InputError(Argument("joints"), f" {a},{b}: must be two joints between 1 and {q.size}")
@@ -169,7 +174,7 @@ def map_findings(
     outside = calibration.outside(grid.q[reached])
     everywhere = np.flatnonzero([] if outside is None else outside.all(axis=0)).tolist()
     if joints := [calibration.chain.joints[joint].name for joint in everywhere]:
-        findings.append(Finding("joints-outside", {"joints": joints}))
+        findings.append(Finding("joints-outside", {"joints": joints, "given": section.at is not None}))
     return ordered([*findings, *calibration.payload_findings()], calibration.simulated)
 
 
