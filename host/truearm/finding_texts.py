@@ -792,7 +792,7 @@ VALIDATION: Mapping[str, Statement] = {
         MORE_VARIED,
     ),
     "validation-changed": warning(
-        f"The calibration helps, but {{unexplained:.3f}} RMS is unexplained[, most of it in {{region}}]: errors of {RMS_ERRORS}, in {{n:#row}}. Declared noise and the calibration's uncertainty explain {{expected:.3f}}. The arm, its tool or its load has changed, the rig is not as described, here or in the identification, or the arm has errors that the parameters do not model."
+        f"The calibration helps, but [{{unexplained:.3f}} RMS is unexplained||the errors do not fit the declared noise, row by row][, most of it in {{region}}]: errors of {RMS_ERRORS}, in {{n:#row}}. Declared noise and the calibration's uncertainty explain {{expected:.3f}}. The arm, its tool or its load has changed, the rig is not as described, here or in the identification, or the arm has errors that the parameters do not model."
     ),
     "validation-unjudged": warning(
         f"The calibration helps, but these rows cannot show how accurate it is: errors of {RMS_ERRORS}, in {{n:#row}}.",

@@ -203,6 +203,9 @@ def test_orientations_are_judged_in_degrees(folder, tmp_path, run):
     assert errors[1].split()[2:4] == [f"{document[f'rms_{name}_deg']:.5f}" for name in ("before", "after")]
     document, text = found(slice(80))  # angles that are too noisy are not errors of position
     assert set(listed(document)["validation-changed"]["unexplained"]) == {"mm", "deg"}
+    by_row = validation_findings({**document, "unexplained_mm": 0.0, "unexplained_deg": 0.0})
+    verdict = next(one for one in by_row if one.code == "validation-changed")
+    assert "helps, but the errors do not fit the declared noise, row by row, most of it in shell=two:" in verdict.text()
     assert not document["consistent"]
     # Half the rows have ten times the declared angle, three components of 1e-2 rad: √(3·(1e-4 − 1e-6)/2) rad, σ 8 % by 40 rows.
     assert document["unexplained_deg"] == pytest.approx(np.degrees(np.sqrt(1.5 * 0.99e-4)), rel=0.25)

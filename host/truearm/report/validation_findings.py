@@ -63,7 +63,8 @@ def _verdict(document: Document) -> Finding:
     if document["consistent"] is None or not due:
         return Finding("validation-unjudged", values)
     unexplained = sizes(document, "unexplained", list(due))
-    return Finding("validation-changed", {**values, "unexplained": unexplained, "region": document["worst_region"]})
+    shown = unexplained if any(unexplained.values()) else None
+    return Finding("validation-changed", {**values, "unexplained": shown, "region": document["worst_region"]})
 
 
 def _limits(document: Document) -> Iterator[Finding]:
