@@ -24,9 +24,8 @@ from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
 MOST_ROWS = 1000  # of a longer table, an evenly spaced selection is examined
-MOST_APPLIED = (
-    5000  # where a cause is applied, which changes a fit of all rows: 17 s and 1 GB; 20,000 take 350 s and 10 GB
-)
+# Where a cause is applied, which changes a fit of all rows. They take 17 s and 1 GB; 20,000 take 350 s and 10 GB.
+MOST_APPLIED = 5000
 
 
 class ArmParameter(NamedTuple):

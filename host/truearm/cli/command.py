@@ -97,9 +97,9 @@ SHARED = described(options.__doc__, options.TEXTS)[1]
 class Answer:
     """What a command answers: the ``document`` of ``--json``, and what is printed without it.
 
-    These are ``lines`` (with ``--details``: the ``tables``), or findings with the ``tables`` of ``--details`` and the files that were ``written``; findings and
-    files are the document's by default.
-    ``details_hint`` says how to get the rest; without it, no finding is cut. ``end`` is the exit code, or the error that is raised after printing.
+    These are ``lines`` (with ``--details``: the ``tables``), or findings with the ``tables`` of ``--details`` and the files
+    that were ``written``; findings and files are the document's by default. ``details_hint`` says how to get the rest;
+    without it, no finding is cut. ``end`` is the exit code, or the error that is raised after printing.
     """
 
     document: Any

@@ -188,8 +188,10 @@ def _doubts(table: ObservationTable, rig: Rig, chain: Chain) -> Iterator[Finding
 
 
 class _Read(NamedTuple):
-    """The observations of an input, and what was noticed while they were read; of a session also the account of its dwells,
-    how it was recorded, and why it gives nothing if it gives no row."""
+    """The observations of an input, and what was noticed while they were read.
+
+    Of a session also the account of its dwells, how it was recorded, and why it gives nothing if it gives no row.
+    """
 
     table: ObservationTable
     findings: Sequence[Finding] = ()
