@@ -582,7 +582,8 @@ class Estimate(Displayed):
         """Return whether the covariance says how far the parameters are off, at least with the faults as parameters."""
         if self.claim is None or not self.faults:
             return not self.unexplained
-        return self.claim.chi2_reduced <= self.chi2_band[1]
+        # That of the claim may be of a selection of the rows; faults as parameters make that of all rows no larger.
+        return min(self.claim.chi2_reduced, self.chi2_reduced) <= self.chi2_band[1]
 
     @property
     def used(self) -> NDArray[np.bool_]:

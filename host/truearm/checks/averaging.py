@@ -13,22 +13,28 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from truearm.checks.catalogue import Hypothesis, alike
-from truearm.checks.evidence import SCALES, Design, Weighed, amount_of, followed, products, weigh
+from truearm.checks.catalogue import Candidates, Hypothesis, alike, catalogue
+from truearm.checks.evidence import SCALES, WIDEST, Design, Weighed, amount_of, build_design, followed, products, weigh
 from truearm.checks.search import RIVAL, Detection, Search
-from truearm.types import Floats
+from truearm.checks.whitened import DECLARED, Kernel, WhitenedFit
+from truearm.estimate.circumstances import Measured
+from truearm.estimate.information import fold
+from truearm.types import Floats, Mask
 
 PRIOR = 0.03  # probability that a kind of fault is there, shared by the items that it can befall
 LEAST_WEIGHT = 1e-5
 HIDDEN = 5.0  # standard deviations that chance and the number of hypotheses hide
+LINEARISATIONS = 3  # of all rows: the first leaves some thousandths of a step, the second the square of that
+IN_ALL = Candidates(np.ones((1, 1)), np.array([[0, 1]]))
 
 
 class Choice(NamedTuple):
@@ -46,13 +52,14 @@ class Average:
     """The error of the k parameters, and of the tool by Γ = ``gram`` (k, k) [m²].
 
     ``parameters`` (k, k) is their covariance by the noise of the rows, ``unnamed`` (k, u) a root of what faults add that
-    the rows neither show nor exclude. ``choices`` are the explanations of each finding.
+    the rows neither show nor exclude. ``choices`` are the explanations of each finding, ``kernel`` is the noise.
     """
 
     gram: Floats
     parameters: Floats
     unnamed: Floats
     choices: tuple[tuple[Choice, ...], ...]
+    kernel: Kernel
 
     @cached_property
     def steps(self) -> list[list[Floats]]:
@@ -106,10 +113,10 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
     unnamed = [np.zeros((len(gram), 0))]
     for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
         if weight > LEAST_WEIGHT:
-            choice = explanation(weighed, float(weight), result.design, result.response)
+            choice = explanation(weighed, float(weight), result.design, result.response @ weighed.columns)
             unnamed.append(math.sqrt(weight) * np.column_stack([choice.step, choice.root]))
     choices = tuple(explanations(detection, result) for detection in result.detections)
-    return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices)
+    return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices, kernel)
 
 
 def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
@@ -126,19 +133,20 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
 
-def explanation(weighed: Weighed, weight: float, design: Design, response: Floats, is_named: bool = False) -> Choice:
-    """Return what the best candidate does to the parameters by their ``response``; its size is that of the ``design``.
+def explanation(
+    weighed: Weighed, weight: float, design: Design, loading: Floats, is_named: bool = False, scale: float | None = None
+) -> Choice:
+    """Return what the best candidate does to the parameters by their ``loading`` (k, d); its size is that of the ``design``.
 
-    In directions that the rows do not show, a finding is as large as in those that they do, beside one typical size. Of
+    Its prior has a ``scale``, or the most probable one. In directions that the rows do not show, a finding is as large as in those that they do, beside one typical size. Of
     so few directions that is Student's t: twice the stated deviation covers as often as that of a normal distribution.
     """
-    scale = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
-    size, root, hidden = amount_of(weighed, design.variance, scale, is_named)
+    most_probable = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
+    size, root, hidden = amount_of(weighed, design.variance, scale or most_probable, is_named)
     if is_named:
         freedom = root.shape[1] + 1
         wider = float(special.stdtrit(freedom, special.ndtr(2.0))) / 2.0
         root = np.column_stack([root, hidden * wider * math.sqrt((1.0 + float(size @ size)) / freedom)])
-    loading = response @ weighed.columns
     return Choice(weighed, weight, size, -loading @ size, loading @ root)
 
 
@@ -149,10 +157,105 @@ def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
     options = [weigh([weighed.hypothesis], design)[0] for weighed in (detection.best, *rivals)]
     threshold = max(weighed.log_evidence for weighed in options) - RIVAL
     options = [weighed for weighed in options if weighed.log_evidence > threshold]
-    log = np.array([weighed.log_evidence for weighed in options])
-    weights = np.exp(log - special.logsumexp(log)).tolist()
-    pairs = zip(options, weights, strict=True)
-    return tuple(explanation(weighed, weight, design, result.response, is_named=True) for weighed, weight in pairs)
+    pairs = zip(options, shares([weighed.log_evidence for weighed in options]), strict=True)
+    return tuple(
+        explanation(weighed, weight, design, result.response @ weighed.columns, is_named=True)
+        for weighed, weight in pairs
+    )
+
+
+def shares(log_evidence: Sequence[float]) -> list[float]:
+    """Return the probabilities of explanations of which one is true."""
+    probability: list[float] = np.exp(log_evidence - special.logsumexp(log_evidence)).tolist()
+    return probability
+
+
+class AllRows(NamedTuple):
+    """All rows of a fit that ended at x (P,), of which some were examined.
+
+    ``blocks`` are their whitened rows at an x, ``columns`` (P,) the k fitted parameters, ``move`` adds a step to them.
+    ``pulled``: the fit has a robust loss.
+    """
+
+    x: Floats
+    columns: Mask
+    move: Callable[[Floats, Floats], Floats]
+    measured: Measured
+    pulled: bool
+    blocks: Callable[[Floats], Iterable[WhitenedFit]]
+
+    def applied(self, average: Average, step_of: Callable[[Average], Floats]) -> tuple[Floats, Average, float]:
+        """Return x (P,) with explanations applied, whose step (k,) ``step_of`` gives; the average and χ²/ν by all rows.
+
+        It is the fit with their sizes as further parameters.
+        """
+        choices, x = [*chain.from_iterable(average.choices)], self.x.copy()
+        courses = np.zeros((self.measured.total, len(choices)))
+        for number, choice in enumerate(choices):
+            courses[self.measured.row, number] = choice.weighed.hypothesis.course(choice.weighed.best, self.measured)
+        for _ in range(LINEARISATIONS):
+            fit, columns, count = folded(self.blocks(x), choices, courses, 0)
+            pulled, by, _ = folded(self.blocks(x), choices, courses, 1) if self.pulled else (fit, columns, count)
+            design = build_design(fit, replace(average.kernel, shared=()), fit.wide_prior)
+            design = replace(design, freedom=design.freedom + count - fit.residual.size)
+            fitted = build_design(pulled, DECLARED, pulled.prior)
+            loadings = iter([fitted.root @ (fitted.basis[: len(column)].T @ column) for column in by])
+            in_turn = iter(columns)
+            by_finding = [[next(in_turn) for _ in choices] for choices in average.choices]
+            by_all = replace(average, choices=reweighed(average, design, by_finding, loadings))
+            step = fitted.root @ (fitted.basis.T @ np.append(pulled.residual, pulled.prior[:, -1]))
+            x[self.columns] = self.move(x[self.columns], step + step_of(by_all))
+        with_first = design.extended(np.concatenate([columns[0] for columns in by_finding], axis=1))
+        return x, by_all, with_first.chi2 * average.kernel.scale**2 / max(with_first.freedom, 1.0)
+
+
+def folded(
+    blocks: Iterable[WhitenedFit], choices: Sequence[Choice], courses: Floats, power: int
+) -> tuple[WhitenedFit, list[Floats], int]:
+    """Return rows of a fit, and in them the columns (·, d) of choices, with the products of all blocks; and how many all are.
+
+    ``courses`` (N, c) of the table's rows are the profiles of the choices. Rows where one is NaN are left out. ``power``: of
+    the pull.
+    """
+    size, count, triangle = [choice.size.size for choice in choices], 0, np.zeros((0, 0))
+    for block in blocks:
+        course = courses[block.measured.row][block.row]
+        columns = {hypothesis.name: hypothesis.columns for hypothesis in catalogue(block, every=True)}
+        pieces = [block.jac]
+        for choice, d, profile in zip(choices, size, course.T, strict=True):
+            pieces.append(columns.get(choice.weighed.name, np.zeros((len(course), d)))[:, :d] * profile[:, None])
+        rows = np.column_stack([*pieces, block.residual]) * block.pull[:, None] ** power
+        rows = rows[np.isfinite(course).all(axis=1)]
+        triangle = fold(triangle if triangle.size else np.zeros((rows.shape[1], rows.shape[1])), rows)
+        count += len(rows)
+    jac, *by_choice, residual = np.split(triangle, np.cumsum([block.jac.shape[1], *size]), axis=1)
+    first = np.zeros(len(triangle), dtype=np.intp)
+    fit = replace(block, row=first, component=first, jac=jac, residual=residual[:, 0], pull=np.ones(len(triangle)))
+    return fit, by_choice, count
+
+
+def reweighed(
+    average: Average, design: Design, columns: Sequence[Sequence[Floats]], loadings: Iterator[Floats]
+) -> tuple[tuple[Choice, ...], ...]:
+    """Return the choices with the ``columns`` and ``loadings`` of all rows, each beside the first of other findings.
+
+    Under noise that rows share, probabilities and uncertainty stay those that examined rows give.
+    """
+    out = []
+    for choices, of_finding in zip(average.choices, columns, strict=True):
+        others = [other[0] for other in columns if other is not of_finding]
+        beside = design.extended(np.concatenate([design.fit.jac[:, :0], *others], axis=1))
+        of_all = [
+            weigh([replace(choice.weighed.hypothesis, fit=design.fit, columns=column, candidates=IN_ALL)], beside)[0]
+            for choice, column in zip(choices, of_finding, strict=True)
+        ]
+        prices = [math.log(choice.weighed.hypothesis.candidates.number) for choice in choices]
+        weights = shares([weighed.log_evidence - price for weighed, price in zip(of_all, prices, strict=True)])
+        new = [explanation(*args, beside, next(loadings), True, WIDEST) for args in zip(of_all, weights, strict=True)]
+        if average.kernel.shared:
+            new = [choice._replace(size=own.size, step=own.step) for choice, own in zip(choices, new, strict=True)]
+        out.append(tuple(new))
+    return tuple(out)
 
 
 def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:

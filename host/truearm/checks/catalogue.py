@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.checks.whitened import WhitenedFit
+from truearm.estimate.circumstances import Measured
 from truearm.estimate.systematic_effects import Cause
 from truearm.kinds.registry import kinds
 from truearm.results import DriftWith
@@ -110,6 +111,16 @@ class Hypothesis:
         along = profile[self.fit.row, None] if row is None else profile[row]
         return np.asarray(self.columns[:, : self.sizes.size] * along)
 
+    def course(self, number: int, measured: Measured) -> Floats:
+        """Return the profile of a candidate over other rows of the same table (n,); NaN near an end, where it is unknown."""
+        candidates, examined = self.candidates, self.fit.measured
+        if not candidates.drifts:
+            profile = np.interp(measured.row, examined.row, candidates.profile(number))
+            return np.where(np.isin(profile, (0.0, 1.0)), profile, np.nan)
+        drifts, own = drifts_of(measured), (examined.session[candidates.spans[number, 0]], candidates.drifts[number])
+        sessions = measured.session[drifts.spans[:, 0]]
+        return drifts.profile([*zip(sessions, drifts.drifts, strict=True)].index(own))
+
     def by_unit(self, size: Floats) -> dict[str, Floats]:
         """Return a ``size`` (d, …) in typical ones as its numbers of each SI unit."""
         units, scaled = np.array(self.units), (size.T * self.sizes).T
@@ -117,13 +128,14 @@ class Hypothesis:
 
 
 class Catalogue:
-    """The hypotheses about a fit; ``add`` is the only way in."""
+    """The hypotheses about a fit; ``add`` is the only way in. ``every``: also those of which its rows show nothing."""
 
-    def __init__(self, fit: WhitenedFit) -> None:
+    def __init__(self, fit: WhitenedFit, every: bool) -> None:
         self.fit = fit
+        self.every = every
         self.hypotheses: list[Hypothesis] = []
         self.always = Candidates(np.ones((1, fit.n)), np.array([[0, fit.n]]))
-        self.drifts = drifts_of(fit)
+        self.drifts = drifts_of(fit.measured)
         self._spans: dict[tuple[str, bytes], Candidates] = {}
 
     def add(
@@ -140,7 +152,7 @@ class Catalogue:
 
         Columns of a ``nuisance`` are fitted with it.
         """
-        if not (candidates.profiles.any() and columns.any()):
+        if not (self.every or (candidates.profiles.any() and columns.any())):
             return
         size = np.array([TYPICAL[unit] for unit in units]) if sizes is None else sizes
         kind = f"{kind_of(item, self.fit)} {form}"
@@ -184,9 +196,9 @@ def alike(hypotheses: Sequence[Hypothesis]) -> list[list[Hypothesis]]:
     return sets
 
 
-def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
-    """Return all hypotheses about a fit."""
-    out = Catalogue(fit)
+def catalogue(fit: WhitenedFit, every: bool = False) -> list[Hypothesis]:
+    """Return all hypotheses about a fit; ``every``: also those of which its rows show nothing."""
+    out = Catalogue(fit, every)
     for cause in fit.causes:
         add_item(out, cause)
     add_groups(out)
@@ -203,8 +215,8 @@ def add_item(out: Catalogue, cause: Cause) -> None:
     """Add an item of the rig, the base or the tool in the forms that its kind declares, and its drift."""
     fit, fault = out.fit, cause.fault
     columns, units = fit.by_numbers(cause.numbers)
-    if fault.moved or rows_used(columns, fit).size < 2 * LEAST_ROWS:  # joints have functions of their own
-        return
+    if fault.moved or not (out.every or rows_used(columns, fit).size >= 2 * LEAST_ROWS):
+        return  # joints have functions of their own
     if is_constant(cause, fit):
         out.add(cause.name, "offset", columns, units, out.always)
     out.add_in_time(cause.name, columns, units, ("step", "run", "drift") if fault.step else ("drift",))
@@ -278,25 +290,26 @@ def add_loose_flange(out: Catalogue) -> None:
     out.add("tool", "loose", columns * side[fit.row], ["m"] * 3, out.always)
 
 
-def drifts_of(fit: WhitenedFit) -> Candidates:
+def drifts_of(measured: Measured) -> Candidates:
     """Return the profiles of a drift in each session: linear in time, settling, returning; linear in the temperature."""
+    n = measured.row.size
     courses: list[tuple[Floats, tuple[int, int], str]] = []
-    for session in np.unique(fit.measured.session):
-        rows = np.flatnonzero(fit.measured.session == session)
-        first, last = int(fit.measured.row[rows[0]]), int(fit.measured.row[rows[-1]]) + 1
+    for session in np.unique(measured.session):
+        rows = np.flatnonzero(measured.session == session)
+        first, last = int(measured.row[rows[0]]), int(measured.row[rows[-1]]) + 1
         for drift in (DriftWith.TIME, DriftWith.TEMPERATURE):
-            course = fit.measured.table.during("", drift, first, last)
+            course = measured.table.during("", drift, first, last)
             if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
-            share = (course - course[0])[fit.measured.row[rows] - first] / np.ptp(course)
+            share = (course - course[0])[measured.row[rows] - first] / np.ptp(course)
             shapes: list[tuple[str, Floats]] = [(drift, share)]
             if drift is DriftWith.TIME:
                 shapes += [("settling", np.expm1(-BEND * share) / np.expm1(-BEND))]
                 shapes += [("returning", np.sin(np.pi * share))]
             span = int(rows[0]), int(rows[-1]) + 1
-            courses += [(np.bincount(rows, course, fit.n).astype(float), span, shape) for shape, course in shapes]
+            courses += [(np.bincount(rows, course, n).astype(float), span, shape) for shape, course in shapes]
     profiles, spans, drifts = zip(*courses, strict=True) if courses else ((), (), ())
-    return Candidates(np.reshape(profiles, (-1, fit.n)), np.reshape(spans, (-1, 2)), drifts)
+    return Candidates(np.reshape(profiles, (-1, n)), np.reshape(spans, (-1, 2)), drifts)
 
 
 def spans_of(spans: Indices, n: int, among: float | None = None) -> Candidates:

@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.checks.averaging import Average, Choice, averaged, unseen
+from truearm.checks.averaging import AllRows, Average, Choice, averaged, unseen
 from truearm.checks.catalogue import LAST_MOVE
 from truearm.checks.evidence import Design, Weighed, amount_of
 from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left_out
-from truearm.checks.whitened import MOST_ROWS, WhitenedFit, whitened_fit
+from truearm.checks.whitened import MOST_ROWS, WhitenedFit, used_rows, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.circumstances import measured_order
 from truearm.estimate.outliers import HEAVY, MOST_BAD, single
+from truearm.estimate.parameter_update import stepper
 from truearm.estimate.prediction import MOST_POSES, body_motion, measured_jacobian
-from truearm.estimate.problem import build_problem
+from truearm.estimate.problem import BLOCK, build_problem
 from truearm.estimate.solvers import Loss
 from truearm.estimate.validation import Judgement, Ways
 from truearm.estimate.whitened_rows import only
@@ -36,36 +37,46 @@ LASTING = "eccentricity"  # the form of an error that stays in the arm: paramete
 class Examination:
     """The faults in an estimate, in the order of the search, and the error that the tool may have.
 
-    ``free`` (P,) are the estimate's parameters of ``average``.
+    ``free`` (P,) are the estimate's parameters of ``average``, ``rows`` all rows if some of them were examined.
     """
 
     faults: tuple[Diagnosis, ...]
     claim: ToolClaim
     average: Average
     free: Mask
+    rows: AllRows | None = None
 
-    def applied(self, names: Sequence[str]) -> tuple[Floats, Floats, float]:
-        """Return the change (P,) of the parameters with some causes applied; their mean square error (P, P), and shift, then.
+    def applied(self, names: Sequence[str]) -> tuple[Floats, Floats, ToolClaim]:
+        """Return the change (P,) of the parameters with some causes applied; their mean square error (P, P), and claim, then.
 
         "mean" applies the mean of the rivals of each fault. Raises InputError for a cause that no fault has.
         """
-        steps: dict[int, Floats] = {}
+        chosen: dict[int, int] = {}  # by finding, which of its steps
         for name in names:
             by_finding = {
-                number: step
-                for number, (fault, rival_steps) in enumerate(zip(self.faults, self.average.steps, strict=True))
-                for rival, step in zip((*fault.rivals, fault.mean), rival_steps, strict=True)
+                number: index
+                for number, fault in enumerate(self.faults)
+                for index, rival in enumerate((*fault.rivals, fault.mean))
                 if rival.apply == name
             }
             if not by_finding:
                 names = [rival.apply for fault in self.faults for rival in fault.rivals if rival.apply]
                 remedy = f"name one of {', '.join(names)}" if names else "these rows show no fault"
                 raise InputError(Argument("apply"), f" {name}: no cause of a fault in these rows; {remedy}")
-            steps |= by_finding
-        step = sum(steps.values(), np.zeros(len(self.average.gram)))
-        change, covariance = np.zeros(self.free.size), np.zeros((self.free.size, self.free.size))
-        change[self.free], covariance[np.ix_(self.free, self.free)] = step, self.average.covariance(step)
-        return change, covariance, self.average.moves(self.average.bias(step))
+            chosen |= by_finding
+
+        def step_of(average: Average) -> Floats:
+            return sum((average.steps[number][k] for number, k in chosen.items()), np.zeros(len(average.gram)))
+
+        average, change, chi2_reduced = self.average, np.zeros(self.free.size), self.claim.chi2_reduced
+        change[self.free], covariance = step_of(average), np.zeros((change.size, change.size))
+        if chosen and self.rows is not None:
+            x, average, chi2_reduced = self.rows.applied(average, step_of)
+            change = x - self.rows.x
+        step = step_of(average)
+        covariance[np.ix_(self.free, self.free)] = average.covariance(step)
+        rivals, shift = average.moves(average.of_rivals()), average.moves(average.bias(step))
+        return change, covariance, replace(self.claim, rivals=rivals, shift=shift, chi2_reduced=chi2_reduced)
 
 
 def examined(
@@ -75,13 +86,12 @@ def examined(
     estimate: Estimate,
     effects: tuple[Effect, ...] = (),
     any_base: bool = False,
-    most_rows: int = MOST_ROWS,
 ) -> Examination | None:
     """Examine an estimate from ``identify`` that has ``effects`` as parameters.
 
     ``any_base``: the pose of the base is a choice of frame. Returns None for a fit without degrees of freedom, or one
     distorted beyond GROSS. Findings that move the tool too far for an analysis of first order, such as all sockets of a
-    place where nothing else knows the scale, are none. Of more than ``most_rows`` a selection is examined.
+    place where nothing else knows the scale, are none. Of more than MOST_ROWS a selection is examined.
     """
     if estimate.chi2_freedom < 1.0:
         return None
@@ -94,10 +104,21 @@ def examined(
     laws = estimate.law_parameters, estimate.law_prior
 
     def by_weights(weight: Floats) -> Examination | None:
-        fit = whitened_fit(
-            problem, estimate.value, estimate.free, measured, weight[fitted], estimate.weight[fitted], laws, most_rows
+        of_loss = estimate.weight[fitted]
+
+        def rows_at(x: Floats, rows: slice | None = None) -> WhitenedFit:
+            return whitened_fit(problem, x, estimate.free, measured, weight[fitted], of_loss, laws, rows)
+
+        examination = of_fit(rows_at(estimate.value), gram, covariance, table, estimate.free)
+        count = used_rows(problem).size
+        if examination is None or count <= MOST_ROWS:
+            return examination
+        slices = [slice(first, first + BLOCK) for first in range(0, count, BLOCK)]
+        move, pulled = stepper(problem, estimate.free), bool((of_loss != weight[fitted]).any())
+        of_all = AllRows(
+            estimate.value, estimate.free, move, measured, pulled, lambda x: (rows_at(x, rows) for rows in slices)
         )
-        return of_fit(fit, gram, covariance, table, estimate.free)
+        return replace(examination, rows=of_all)
 
     weight = row_weights(estimate)
     if single(weight[fitted] < 1.0):

@@ -24,8 +24,6 @@ from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
 MOST_ROWS = 1000  # of a longer table, an evenly spaced selection is examined
-# Where a cause is applied, which changes a fit of all rows. They take 17 s and 1 GB; 20,000 take 350 s and 10 GB.
-MOST_APPLIED = 5000
 
 
 class ArmParameter(NamedTuple):
@@ -132,6 +130,12 @@ class Kernel:
 DECLARED = Kernel()
 
 
+def used_rows(problem: Problem) -> Indices:
+    """Return the rows that a problem has, in order."""
+    rows = np.concatenate([group.row for group in problem.groups if group.row is not None])
+    return np.flatnonzero(np.bincount(rows))  # at once, unlike unique rows
+
+
 def whitened_fit(
     problem: Problem,
     x: Floats,
@@ -140,18 +144,19 @@ def whitened_fit(
     weight: Floats,
     of_loss: Floats,
     laws: tuple[range, Floats | None] = (range(0), None),
-    most_rows: int = MOST_ROWS,
+    rows: slice | None = None,
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
+
+    These are some ``rows`` of the problem's, or else MOST_ROWS of all.
 
     ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight`` (n,),
     and was fitted with the weight ``of_loss`` (n,).
     The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without it they
     would explain anything. With it comes a root (l, l) of its precision.
     """
-    rows = np.concatenate([group.row for group in problem.groups if group.row is not None])
-    rows_used = np.flatnonzero(np.bincount(rows))  # at once, unlike unique rows
-    examined = rows_used[:: -(-rows_used.size // most_rows)]
+    rows_used = used_rows(problem)
+    examined = rows_used[:: -(-rows_used.size // MOST_ROWS)] if rows is None else rows_used[rows]
     problem, measured = only(problem, np.isin(np.arange(problem.n_rows), examined)), measured.take(examined)
     p, k = problem.n_robot, int(columns.sum())
     faults = [{(f.item, f.form): f for f in group.faults(problem.chain, x)} for group in problem.groups]

@@ -13,7 +13,6 @@ from truearm.arguments import Checked
 from truearm.checks.alternatives import Robots
 from truearm.checks.examination import MEAN, Examination, examined
 from truearm.checks.inputs import checked_inputs
-from truearm.checks.whitened import MOST_APPLIED, MOST_ROWS
 from truearm.errors import Argument, InputError, ProblemError, noting
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
@@ -208,7 +207,6 @@ def examine(
     estimate: Estimate,
     effects: tuple[Effect, ...] = (),
     any_base: bool = False,
-    most_rows: int = MOST_ROWS,
 ) -> Examination | None:
     """Return the examination of an estimate.
 
@@ -217,7 +215,7 @@ def examine(
     if estimate.status != "converged" and not SOLVERS[estimate.solver].ends_by_recipe:
         return None
     with step("testing for faults"):
-        return examined(chain, rig, table, estimate, effects, any_base, most_rows)
+        return examined(chain, rig, table, estimate, effects, any_base)
 
 
 def with_faults(estimate: Estimate, examination: Examination | None) -> Estimate:
@@ -249,12 +247,12 @@ def with_average(
         if causes:
             raise InputError(Argument("apply"), f" {causes[0]}: this fit does not show faults")
         return estimate
-    change, covariance, shift = examination.applied(causes)
+    change, covariance, claim = examination.applied(causes)
     sigma = np.where(np.isfinite(estimate.sigma), np.sqrt(np.diag(covariance)), np.nan)
     estimate = replace(estimate, value=estimate.value + change, covariance=covariance, sigma=sigma)
     if not causes:
         return estimate
-    estimate = replace(estimate, applied=tuple(causes), claim=replace(examination.claim, shift=shift))
+    estimate = replace(estimate, applied=tuple(causes), claim=claim)
     return rejudged(chain, rig, table, estimate, effects)
 
 
@@ -364,8 +362,7 @@ def identified(
             return next(reversed(examinations.values()))
         fit = estimate.value.tobytes() + estimate.weight.tobytes()
         if fit not in examinations:
-            most_rows = MOST_APPLIED if causes else MOST_ROWS
-            examinations[fit] = examine(chain, rig, table, estimate, effects, bool(chosen.base), most_rows)
+            examinations[fit] = examine(chain, rig, table, estimate, effects, bool(chosen.base))
         return examinations[fit]
 
     def checked(estimate: Estimate, nearly: bool = False) -> Estimate:
