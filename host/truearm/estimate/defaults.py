@@ -42,7 +42,7 @@ from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Defaults, Effect, StillJoint
-from truearm.types import Floats, Mask, Rigs, thinned
+from truearm.types import Floats, Indices, Mask, Rigs, thinned
 from truearm.units import UNITS
 
 STILL = 4.0  # weak σ, largest minus smallest reading
@@ -75,12 +75,7 @@ def choose_defaults(
     if not rows.size:
         return free, np.full(free.size, np.inf), Defaults()
     still, n_rows = still_joints(chain, table.q[rows]), rows.size
-    problem = build_problem(chain, rig, table, None, effects, rows)
-    selection = rows[thinned(n_rows, MANY)]
-    if selection.size < n_rows:
-        thin_problem = build_problem(chain, rig, table, None, effects, selection)
-        if thin_problem.names == problem.names:
-            problem, rows = thin_problem, selection
+    problem, rows = _enough(chain, rig, table, rows, effects)
     table = table.select(rows)
     p, rig_only = problem.n_robot, problem.of_rig
     x = fit(problem, rig_only, problem.start, Options()).x
@@ -112,6 +107,18 @@ def choose_defaults(
     return remaining, sigma, chosen
 
 
+def _enough(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Indices, effects: Sequence[Effect] = ()
+) -> tuple[Problem, Indices]:
+    """Return MANY of some rows of a table if they have all unknowns, otherwise all, with their problem."""
+    problem, selection = build_problem(chain, rig, table, None, effects, rows), rows[thinned(rows.size, MANY)]
+    if selection.size < rows.size:
+        thin_problem = build_problem(chain, rig, table, None, effects, selection)
+        if thin_problem.names == problem.names:
+            return thin_problem, selection
+    return problem, rows
+
+
 def with_frames(
     chosen: Defaults, chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, value: Floats
 ) -> Defaults:
@@ -123,7 +130,8 @@ def with_frames(
     held = {*chosen.base, *chosen.tool}
     if not held:
         return chosen
-    problem = build_problem(chain, rig, in_any_pose(chain, table))
+    _, rows = _enough(chain, rig, table, np.arange(len(table)))
+    problem = build_problem(chain, rig, in_any_pose(chain, table.select(rows)))
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     root = _root(problem, value, free)

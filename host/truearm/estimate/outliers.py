@@ -64,7 +64,7 @@ def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats
         if not single(candidates):
             return np.zeros(problem.n_rows, dtype=bool), x
         gross = candidates
-        x_others = fit(only(problem, ~gross), columns, x_others, Options()).x
+        x_others = fit(only(problem, ~gross), columns, x_others, Options(is_near=True)).x
     return gross, x_others
 
 
@@ -121,7 +121,8 @@ def settled(
             break
         choices.add(chosen.tobytes())
         included, weight = chosen, chosen.astype(float)
-        solution = fit(only(problem, included), columns, solution.x, options._replace(on_step=None))
+        how_to = options._replace(on_step=None, is_near=True)
+        solution = fit(only(problem, included), columns, solution.x, how_to)
         if solution.status != "converged":
             break
     return Settled(solution, included, rows, is_stable)
@@ -220,8 +221,13 @@ def matter(square: Floats, out: Mask) -> bool:
 
 def weightless(problem: Problem, columns: Mask, solution: Solution, included: Mask) -> Solution:
     """Return a fit of the ``included`` rows (n_rows,) with the residuals of all rows, of which the others have weight 0."""
-    information = solution.information._replace(residual=observe(problem, solution.x, columns).residual)
-    return solution._replace(information=information, weight=included.astype(float))
+    residual, nothing = problem.no_residuals(), np.zeros_like(columns)
+    of_others = observe(only(problem, ~included), solution.x, nothing).residual
+    for unit, errors in (*solution.information.residual.items(), *of_others.items()):
+        np.copyto(residual[unit], errors, where=np.isfinite(errors))
+    return solution._replace(
+        information=solution.information._replace(residual=residual), weight=included.astype(float)
+    )
 
 
 def fit_with_all(problem: Problem, columns: Mask, complete: Solution, solution: Solution) -> OtherFit:

@@ -26,6 +26,7 @@ class Options(NamedTuple):
     damping: Damping = Damping()  # for lm, map and ls
     on_step: Callable[[int, Residuals], None] | None = None  # called with the iteration and the residuals
     ends: Ends | None = None  # for lm, map and ls: whether to end before the minimum
+    is_near: bool = False  # for lm and map: the start is the minimum of nearly the same rows
 
 
 class Solution(NamedTuple):

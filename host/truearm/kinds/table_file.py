@@ -220,9 +220,10 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     row's kind rejects.
     """
     for column, rig_names in registry.rig_names(rig).items():
-        for identifier, source in zip(table[column], table.source, strict=True):
-            if identifier and identifier not in rig_names:
-                raise TableError("not-in-rig", place=source, what=column, name=identifier, names=sorted(rig_names))
+        if unknown := {*table[column].tolist()} - {"", *rig_names}:
+            i = np.flatnonzero(np.isin(table[column], [*unknown]))[0]
+            values = {"what": column, "name": table[column][i], "names": sorted(rig_names)}
+            raise TableError("not-in-rig", place=table.source[i], **values)
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)
         nameless = np.flatnonzero(rows & (table[kind.point] == "")) if len(points) > 1 else np.zeros(0, int)
