@@ -167,6 +167,14 @@ def test_what_is_applied_to_many_rows_is_the_fit_of_all_with_it_as_a_parameter(n
     assert not {"doubtful-residuals", "too-many-outliers", "tool-error-shown"} & findings.keys()
 
 
+def test_noise_of_another_size_than_declared_has_the_error_that_all_rows_leave() -> None:
+    robot, table, rig, *_ = sagging(4000, 0.0, 1e-4)
+    too_small = replace(rig, bars={"b": replace(rig.bars["b"], sigma=5e-5)})
+    right, learned = (truearm.identify(robot, table, of).estimate.claim for of in (rig, too_small))
+    assert (right.noise, learned.noise) == ("declared", "white")
+    assert learned.parameters == pytest.approx(right.parameters, rel=0.05)
+
+
 def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> None:
     folder, chuck, _ = slip
     page = tmp_path / "page.html"

@@ -103,13 +103,25 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
     """Return the averaged error of a search; ``covariance`` (k, k) is that of the fit.
 
     If the noise was learned, the covariance is that which it gives to the same parameters, if the tool's error is larger.
+    Noise that rows do not share is as much less in the fit of all rows as that has more of them than were examined.
     """
+
+    def tool(matrix: Floats) -> float:
+        return float(np.trace(gram @ matrix))
+
     fitted, kernel = result.fitted, result.design.kernel
     if not kernel.declared:
         m = fitted.fit.residual.size
         noise = kernel.spread(fitted.basis[:m]) * np.sqrt(result.design.variance)
         half = np.concatenate([noise, fitted.basis[m:]]) @ fitted.root.T
-        covariance = max((covariance, half.T @ half), key=lambda matrix: float(np.trace(gram @ matrix)))
+        learned = half.T @ half
+        if not kernel.shared:
+            by_prior, variance = covariance @ fitted.fit.prior[:, :-1].T, kernel.scale**2 * result.design.variance
+            of_all = variance * covariance + (1.0 - variance) * by_prior @ by_prior.T
+            learned = min(
+                (learned, of_all), key=tool
+            )  # both are too large if there is scatter of the arm, or more rows
+        covariance = max((covariance, learned), key=tool)
     unnamed = [np.zeros((len(gram), 0))]
     for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
         if weight > LEAST_WEIGHT:
