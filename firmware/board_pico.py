@@ -94,6 +94,7 @@ class Board:
     shortest_period_ns = SHORTEST_PERIOD_NS
     config_path = "config.json"
     error_path = "last_error.txt"
+    sensors = ()  # further ones: docs/how-to/extending.md
 
     def __init__(self):
         if machine.freq() != chip.CLOCK_HZ:

@@ -12,6 +12,7 @@
                               finishes the frame whose payload is buf[at + HEAD:end], as frame.close does, with the current time in the 8 bytes
                               at place, and sends it, with the shortest possible delay. 0: the link takes nothing, nothing was changed
     adc, mag                  the sources of samples, see below
+    sensors                   further sensors, () if there are none: each a stream from number 2 on, see polled.py
     thermometers              the thermometers' bus, see below
     configure(settings)       apply the configuration (config.DEFAULT shows one): gains, blanking and time-out, the
                               watchdog. At boot and after every change, never while sampling
@@ -232,7 +233,7 @@ def run(board):
         box = Box(board)
         while not box.ended:
             if not box.step():
-                board.idle(box.toggle.wait())
+                board.idle(min(box.toggle.wait(), box.streams.wait()))
     except Exception as e:
         box = None
         gc.collect()  # reporting it takes memory, which may be short

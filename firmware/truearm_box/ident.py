@@ -1,7 +1,7 @@
 """The box's description of itself (SPEC §5), from its board and its configuration."""
 
 from truearm_wire import PROTOCOL
-from truearm_wire.messages import STREAM_ADC, STREAM_MAG
+from truearm_wire.messages import STREAM_ADC, STREAM_MAG, STREAM_SENSOR
 from truearm_wire.version import VERSION
 
 from .config import group_delay_ns
@@ -30,6 +30,10 @@ def document(board, config, osr, mag_period_ns, fault, last_error):
         found["streams"].append(_mag(config["magnetostrictive"], mag_period_ns))
     for stream in found["streams"]:
         stream["shortest_period_ns"] = board.shortest_period_ns
+    for i in range(len(board.sensors)):
+        described = {"id": STREAM_SENSOR + i, "osr": 0, "group_delay_ns": 0}
+        described.update(board.sensors[i].stream)
+        found["streams"].append(described)
     described = [{"name": name, "uid": uid} for name, uid in thermometers(config, board.thermometers.uids)]
     if described:
         found["thermometers"] = described

@@ -10,6 +10,8 @@ from truearm_wire.fast import copy, extend, micropython
 from truearm_wire.frame import HEAD
 from truearm_wire.messages import DATA, FLAG_OVERRUN, STREAM_ADC, STREAM_MAG
 
+from .toggle import LATER
+
 BLOCK_BYTES = 208  # the most that fits in a frame: 13 samples of 4 channels, 52 of one
 PERIOD_NS_PER_OSR = 240  # converter clock 125 MHz / 15, modulator at half of it
 
@@ -23,12 +25,18 @@ _SAMPLES = _PERIOD + 5
 
 
 class Streams:
-    """The streams of both sources."""
+    """The streams of both sources, and of the board's further sensors."""
 
     def __init__(self, board, ring):
         self._ring = ring
-        self.adc = Stream(board, board.adc, STREAM_ADC, ring)
-        self.mag = Stream(board, board.mag, STREAM_MAG, ring)
+        self._streams = [Stream(board, board.adc, STREAM_ADC, ring), Stream(board, board.mag, STREAM_MAG, ring)]
+        self._polled = ()
+        if board.sensors:
+            from .polled import polled  # a simulated box's code takes its heap
+
+            self._polled = polled(board, BLOCK_BYTES)
+        for source in self._polled:
+            self._streams.append(Stream(board, source, len(self._streams), ring))
         self.running = False
 
     def start(self, osr, mag_period_ns):
@@ -36,20 +44,32 @@ class Streams:
         another start.
         """
         self.running = True
-        self.adc.start(osr, osr * PERIOD_NS_PER_OSR)
+        self._streams[0].start(osr, osr * PERIOD_NS_PER_OSR)
         if mag_period_ns:
-            self.mag.start(mag_period_ns, mag_period_ns)
+            self._streams[1].start(mag_period_ns, mag_period_ns)
+        for i in range(2, len(self._streams)):
+            self._streams[i].start(0, self._polled[i - 2].period_ns)
 
     def stop(self):
         """Stop sampling. Existing samples move on into the ring, as it takes them."""
-        self.adc.stop()
-        self.mag.stop()
+        for stream in self._streams:
+            stream.stop()
         self.running = False
 
     def pull(self):
         """Move at most one block from each source into the ring. Returns whether there was one."""
-        adc = self.adc.pull()
-        return self.mag.pull() or adc
+        busy = False
+        for stream in self._streams:
+            if stream.pull():
+                busy = True
+        return busy
+
+    def wait(self):
+        """Return the microseconds until a sensor is to be read."""
+        wait = LATER
+        for source in self._polled:
+            wait = min(wait, source.wait())
+        return wait
 
     def waiting(self):
         """Return whether samples wait to be sent: blocks in the ring, or what a stop left in the sources."""
@@ -57,7 +77,10 @@ class Streams:
 
     def ending(self):
         """Return whether sources that were stopped may still hold samples."""
-        return self.adc.ending or self.mag.ending
+        for stream in self._streams:
+            if stream.ending:
+                return True
+        return False
 
     def send_oldest(self, link):
         """Send the oldest block of the ring."""

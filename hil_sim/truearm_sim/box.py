@@ -14,7 +14,7 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -67,7 +67,7 @@ class Grant:
 
     ``samples`` (``mag``) are n stamps of 4 bytes and n samples of 16 (4), the first with index ``index`` since the start of
     sampling. ``fault`` refers to the last converter sample. ``thermometers`` are records of THERMOMETER, all of them in each
-    grant.
+    grant, ``readings`` what the further sensors would read now.
     """
 
     now_us: int
@@ -82,6 +82,7 @@ class Grant:
     fault: int = 0
     temperature_mdegc: int = 25000
     thermometers: bytes = b""
+    readings: bytes = b""
 
 
 class Answer(NamedTuple):
@@ -117,13 +118,14 @@ class Answer(NamedTuple):
 class BoxSetup:
     """The properties of one box; `ring_slots` blocks of samples wait while the link is blocked.
 
-    ``self_test``: what the board measures in its self-test.
+    ``self_test``: what the board measures in its self-test. ``sensors``: the streams of further sensors in its ident.
     """
 
     uid: bytes = bytes.fromhex("e6614103e7452b2f")
     ring_slots: int = 200  # 2 s of both streams at 1 kHz: 78 and 20 blocks a second
     config: dict[str, Any] | None = field(default=None)
     self_test: Mapping[str, int] = field(default_factory=lambda: HEALTHY)
+    sensors: Sequence[Mapping[str, Any]] = ()
 
 
 def firmware_folder() -> Path:
@@ -139,7 +141,8 @@ def write_flash(folder: Path, config: dict[str, Any] | None) -> None:
     shutil.copytree(firmware_folder() / "truearm_box", folder / "truearm_box", ignore=skip)
     shutil.copyfile(firmware_folder() / "main.py", folder / "main.py")
     shutil.copytree(Path(truearm_wire.__file__).parent, folder / "truearm_wire", ignore=skip)
-    shutil.copyfile(Path(__file__).parent / "vm" / "board.py", folder / "board.py")
+    for name in ("board.py", "sensors.py"):
+        shutil.copyfile(Path(__file__).parent / "vm" / name, folder / name)
     if config is not None:
         (folder / "config.json").write_text(json.dumps(config))
 
@@ -181,8 +184,10 @@ class BoxProcess:
             "config": "config.json",
             "error": "last_error.txt",
             "self_test": dict(setup.self_test),
+            "sensors": list(setup.sensors),
         }
         (folder / "board.json").write_text(json.dumps(board))  # an argument of MicroPython has at most 255 bytes
+        self._readings_bytes = 4 * sum(len(stream["channels"]) for stream in setup.sensors)
         self._stderr = tempfile.TemporaryFile()
         self._process = subprocess.Popen(
             [*_command(interpreter), main],
@@ -212,6 +217,7 @@ class BoxProcess:
         where = (given.now_us, given.temperature_mdegc, n_edges, given.fault, *counts)
         head = GRANT.pack(b"G", given.flags, len(given.rx), room, *where)
         body = given.rx + given.samples + given.mag + given.edges + given.thermometers
+        body += given.readings.ljust(self._readings_bytes, b"\0")
         try:
             os.write(self._process.stdin.fileno(), head + body)  # at most 4096 bytes: they arrive in one piece
         except BrokenPipeError:

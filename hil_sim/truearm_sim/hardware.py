@@ -62,6 +62,11 @@ class Signals:
         t = self.world.clocks.device.true(np.array([1e-9 * self.boot_device_ns + 1e-6 * device_us]))
         return self.world.thermometers(float(t[0]))
 
+    def readings(self, device_us: int) -> bytes:
+        """Return what the further sensors read at this time after boot, a little-endian 32-bit integer for each channel."""
+        t = self.world.clocks.device.true(np.array([1e-9 * self.boot_device_ns + 1e-6 * device_us]))
+        return self.world.readings(float(t[0]))
+
 
 @dataclass(frozen=True)
 class Boot:

@@ -85,7 +85,7 @@ class SimulatedBox:
         ``power_on`` creates the hardware of a boot; by default a ``VmBox`` with ``interpreter`` (None: CPython).
         """
         self._world = world
-        self._setup = setup or BoxSetup(config=world.box_config())
+        self._setup = setup or BoxSetup(config=world.box_config(), sensors=world.sensor_streams)
         self._power_on = power_on or partial(VmBox, interpreter)
         self._rng = np.random.default_rng((seed, 2))
         self._no_stop = tuple((fault.t_s, fault.t_s + NO_STOP_S) for fault in faults if fault.kind == "no-stop")

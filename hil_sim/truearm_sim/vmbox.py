@@ -87,6 +87,7 @@ class VmBox:
                 fault=flying if adc else 0,
                 temperature_mdegc=temperature_mdegc,
                 thermometers=thermometers,
+                readings=self._signals.readings(device_us),
             )
             answer = self._process.grant(given)
             flags &= STALL

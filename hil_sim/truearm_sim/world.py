@@ -110,6 +110,14 @@ class Truth:
     robot_delay: float  # s, delay of the robot's readings
 
 
+@dataclass(frozen=True)
+class Sensor:
+    """A further sensor of the box. ``stream``: its entry in the ident; ``counts`` (n, c): at true joints (n, j)."""
+
+    stream: Mapping[str, Any]
+    counts: Callable[[Chain, Floats, Floats], Floats]
+
+
 class Setup(NamedTuple):
     """The wiring of the lab and its faults.
 
@@ -129,6 +137,7 @@ class Setup(NamedTuple):
     flaws: Flaws | None = None
     robot_input: RobotInput | None = None
     thermal: Thermal | None = None
+    sensors: tuple[Sensor, ...] = ()
 
 
 USUAL = Setup()
@@ -185,6 +194,8 @@ class World:
         self._mag_period_ns = (MAG_PERIOD_NS if paths else 0) if setup.mag_period_ns is None else setup.mag_period_ns
         self._lost_stops = setup.lost_stops
         self.robot_input = setup.robot_input
+        self._sensors = setup.sensors
+        self.sensor_streams = [sensor.stream for sensor in setup.sensors]
         self._kept: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
 
     @property
@@ -307,6 +318,14 @@ class World:
     def thermometers(self, t: float) -> tuple[tuple[bytes, int], ...]:
         """Return address and m°C of each thermometer on the box's wire at true time t."""
         return self._thermal.readings(t / self.duration) if self._thermal else ()
+
+    def readings(self, t: float) -> bytes:
+        """Return the counts of the further sensors at true time t, as 32-bit integers, little endian."""
+        if not self._sensors:
+            return b""
+        q = self.controller.q_true(np.array([t]))
+        counts = [sensor.counts(self.chain, self.params, q)[0] for sensor in self._sensors]
+        return np.rint(np.concatenate(counts)).astype("<i4").tobytes()
 
     def box_warmer(self, t: float) -> float:
         """Return how much warmer the box is at true time t than it would be otherwise [K]."""

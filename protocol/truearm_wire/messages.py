@@ -38,6 +38,7 @@ FLAG_MISSING_STOP = 4
 
 STREAM_ADC = 0
 STREAM_MAG = 1
+STREAM_SENSOR = 2  # and above: further sensors
 
 OUTPUT_LINE = 2  # events of the box's own trigger output
 

@@ -233,3 +233,36 @@ def test_a_stop_with_a_full_ring_loses_nothing_more(bench):
         lost += sum(f[3] - end for f, end in zip(blocks(found, stream), ends[:-1], strict=True))
     assert [f[:1] + f[2:4] for f in found if f[0] in (ERROR, REPLY)][0] == [ERROR, 4, messages.ERROR_STREAMING]
     assert beat(bench)["overruns"] == lost
+
+
+TILT = {"name": "tilt", "period_ns": 20_000_000, "channels": [{"name": c, "unit": "V", "scale": [1, 0]} for c in "ab"]}
+
+
+def polled(bench, k, periods=1):
+    """Let periods of 20 ms pass, then read (k, −k)."""
+    return blocks(bench.give(us=20_000 * periods, readings=struct.pack("<2i", k, -k)), messages.STREAM_SENSOR)
+
+
+def test_a_polled_sensor_has_a_stream_that_shows_every_gap():
+    bench = Bench(real_micropython(), sensors=[TILT])
+    described = ident_document(bench.boot)["streams"][2]
+    assert {key: described[key] for key in TILT} | {"id": 2} == TILT | {"id": described["id"]}
+    bench.start()
+    start_us, found = bench.now_us, []
+    for k in range(1, 531):
+        found += polled(bench, k, 4 if k in (40, 41) else 1)
+    assert bench.answer.wake_us == 20_000
+    found += blocks(bench.give(rx=command(51, 3)), messages.STREAM_SENSOR)
+    read, lost, last = {}, 0, 0
+    for f in found:
+        assert f[7] == (messages.FLAG_OVERRUN if f[3] > last else 0)
+        lost, last = lost + f[3] - last, f[3] + len(f[6].data) // 8
+        assert f[4] == start_us + (f[3] + 1) * 20_000
+        for i, k in enumerate(values(f)[::2]):
+            read[f[3] + i] = k
+            assert values(f)[2 * i + 1] == -k
+    assert last == 536
+    assert lost == beat(bench)["overruns"]
+    # the fourth period of a gap is read if nothing waited before it
+    assert sorted(read) == [i for i in range(536) if not 39 <= i <= 45]
+    bench.box.close()

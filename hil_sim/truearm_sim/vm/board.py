@@ -9,7 +9,8 @@ with grants timed by the wall clock. (The parent's half is truearm_sim/box.py.)
             n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64  n_thermometers:u8
             then rx bytes, stamps:u32 of the converter's samples and the samples (4 x i32 little endian), the same of the
             magnetostrictive head (ticks:i32 little endian), edges (line, rising, stamp:u32), thermometers (uid:8,
-            temperature:i32, 0x7fffffff: it does not answer); 4096 bytes at most
+            temperature:i32, 0x7fffffff: it does not answer), what each further sensor would read now (i32 little endian for
+            each channel); 4096 bytes at most
     answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16
             wake:u32, then tx bytes
 
@@ -260,6 +261,7 @@ class Thermometers:
 class Board:
     name = "vm"
     shortest_period_ns = 245760  # of a Pico
+    sensors = ()
 
     def __init__(self):
         with open("board.json") as f:
@@ -274,6 +276,11 @@ class Board:
         self.adc = Source(4)
         self.mag = Source(1)
         self.thermometers = Thermometers()
+        self._readings = b""
+        if setup["sensors"]:
+            from sensors import sensors  # this code takes heap, which that of a Pico does not
+
+            self._readings, self.sensors = sensors(setup["sensors"])
         self._head = bytearray(GRANT)
         self._body = bytearray(MESSAGE_MAX)
         self._rx = bytearray(RX_MAX)  # a ring, like the next
@@ -353,7 +360,8 @@ class Board:
         mag_at = adc_at + n_adc * (STAMP + self.adc.sample)
         edges_at = mag_at + n_mag * (STAMP + self.mag.sample)
         thermometers_at = edges_at + head[18] * EDGE
-        size = thermometers_at + head[40] * THERMOMETER
+        readings_at = thermometers_at + head[40] * THERMOMETER
+        size = readings_at + len(self._readings)
         if size:
             self._read_exactly(self._body, size)
         self._take_rx(n_rx)
@@ -368,6 +376,8 @@ class Board:
         self.mag.latch(self._body, mag_at, n_mag, head, 32, 0)
         if head[40]:
             self.thermometers.latch(self._body, thermometers_at, head[40])
+        if self._readings:
+            copy(self._readings, 0, self._body, readings_at, len(self._readings))
         return head[1] & 1
 
     def _take_rx(self, n):

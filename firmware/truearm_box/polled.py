@@ -1,0 +1,107 @@
+"""A source of samples that the main loop reads when they are due: a sensor on SPI, I2C or UART, at up to some hundred hertz.
+
+A sensor has a `stream`, its entry in the ident without id, and `read(out)`, which puts a little-endian 32-bit integer for
+each channel into `out` and returns whether the sensor answered. It takes at most a millisecond and does not allocate.
+
+A sample is late by up to a pass of the main loop, some milliseconds. One that was not read at all is lost and counted.
+"""
+
+from truearm_wire.fast import add, copy
+from truearm_wire.messages import COUNTER, FLAG_CONVERTER
+
+from .toggle import LATER
+
+
+def polled(board, block_bytes):
+    """Return a source for each further sensor of the board."""
+    return [Polled(board, sensor, block_bytes) for sensor in board.sensors]
+
+
+class Polled:
+    def __init__(self, board, sensor, block_bytes):
+        self.channels = len(sensor.stream["channels"])
+        self._board = board
+        self._sensor = sensor
+        self._size = 4 * self.channels
+        self._room = block_bytes // self._size  # samples of a block
+        self._samples = bytearray(self._room * self._size)  # contiguous ones
+        self._sample = bytearray(self._size)
+        self._first = bytearray(8)  # index of the oldest
+        self._next = bytearray(8)  # index of the next
+        self._stamp = bytearray(8)  # time of the oldest
+        self.period_ns = sensor.stream["period_ns"]
+        self._period_us = self.period_ns // 1000
+        self._running = False
+        self._n = 0  # contiguous samples that wait
+
+    def start(self, rate):
+        self._n = self._lost = self._missed = self._fault = 0
+        self._gap = False  # no sample follows the waiting ones without a gap
+        for i in range(8):
+            self._next[i] = 0
+        self._due = self._board.ticks()  # time of the newest period's begin
+        self._running = True
+
+    def stop(self):
+        self._running = False
+
+    def wait(self):
+        """Return the microseconds until the next sample is due."""
+        if not self._running:
+            return LATER
+        return max(0, self._period_us - self._board.ticks_diff(self._board.ticks(), self._due))
+
+    def waiting(self):
+        return self._n
+
+    def take(self, n, dst, at, index, stamp):
+        self._poll()
+        if self._n < n:
+            return False
+        copy(dst, at, self._samples, 0, n * self._size)
+        copy(index, 0, self._first, 0, 8)
+        copy(stamp, 0, self._stamp, 4, 4)
+        self._n = 0  # the stream takes all: a block, or the rest before a gap
+        self._gap = False
+        return True
+
+    def broken(self):
+        return self._gap
+
+    def lost(self):
+        n = self._lost
+        self._lost = 0
+        return n
+
+    def fault(self):
+        flags = self._fault
+        self._fault = 0
+        return flags
+
+    def _poll(self):
+        """Read a sample if it is due. After a gap, none is read until the samples before it were taken."""
+        if not self._running:
+            return
+        periods = self._board.ticks_diff(self._board.ticks(), self._due) // self._period_us
+        if periods == 0:
+            return
+        self._due = (self._due + periods * self._period_us) & COUNTER
+        add(self._next, 0, 8, periods - 1)
+        self._missed += periods - 1
+        if self._n and (self._gap or periods > 1):
+            self._gap = True
+            self._missed += 1
+        else:
+            self._read()
+        add(self._next, 0, 8, 1)
+
+    def _read(self):
+        if self._n == 0:
+            self._lost = self._missed
+            self._missed = 0
+            copy(self._first, 0, self._next, 0, 8)
+            self._board.now(self._stamp)
+        if not self._sensor.read(self._sample):
+            self._fault = FLAG_CONVERTER
+        copy(self._samples, self._n * self._size, self._sample, 0, self._size)
+        self._n += 1
