@@ -325,7 +325,7 @@ class World:
             return b""
         q = self.controller.q_true(np.array([t]))
         counts = [sensor.counts(self.chain, self.params, q)[0] for sensor in self._sensors]
-        return np.rint(np.concatenate(counts)).astype("<i4").tobytes()
+        return bytes(np.rint(np.concatenate(counts)).astype("<i4"))
 
     def box_warmer(self, t: float) -> float:
         """Return how much warmer the box is at true time t than it would be otherwise [K]."""

@@ -4,6 +4,7 @@
 
     TruearmError
     ├── InputError            what the user gave is wrong: exit code 2; a ValueError too
+    │   ├── PlugInError       what another package adds is wrong
     │   ├── MissingFileError  a FileNotFoundError too
     │   └── FileError         Table-, Rig-, Robot-, Plan-, Target-, Session-, Config- and ImageError
     ├── WriteError
@@ -131,6 +132,10 @@ class InputError(TruearmError, ValueError):
     """
 
     exit_code = ExitCode.INPUT
+
+
+class PlugInError(InputError):
+    """What another package adds to truearm is wrong; its author has the exception as the cause."""
 
 
 class MissingFileError(InputError, FileNotFoundError):

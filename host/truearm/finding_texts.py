@@ -317,6 +317,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "{place}: [{folder:!}holds other files||exists][{foreign:!} and is not a file that this command writes]",
         "choose another name[{may_force:!} or give {@force}][{folder:!} or an empty folder]",
     ),
+    "wrong-plug-in": ("{place}: {reason}", "correct or uninstall this addition to truearm"),
     "wrong-suffix": ("{place}: is not a name for this kind of file", "give a name that ends in {suffixes}"),
     "in-use": ("{place}: is still being written", "end that recording first, or give another name"),
     # names and options

@@ -3,12 +3,13 @@
 import json
 import math
 import re
+import shutil
 
 import pytest
 
 from tests.host.tcp_peer import Peer
 from tests.recipes.recipes import PAGE, Copy, findings, new_files
-from tests.recipes.test_recipes import OPEN, SENT, SPRUNG, ZERO, write_inputs
+from tests.recipes.test_recipes import OPEN, SENT, SPRUNG, ZERO, write_inputs, write_more_of_the_kind
 from truearm.session.joint_format import parse_line
 
 ROBOT = """
@@ -43,7 +44,7 @@ def work(site, tmp_path_factory):
     """Return a folder with inputs, in which Python finds the package."""
     work = Copy(tmp_path_factory.mktemp("work"), ())
     work.paths = [site]
-    write_inputs(work.folder)
+    write_more_of_the_kind(work.folder, write_inputs(work.folder))
     (work.folder / "sprung.toml").write_text(SPRUNG)
     return work
 
@@ -91,3 +92,62 @@ def test_term_and_robot_are_loaded(work):
 def test_the_source_is_opened(work):
     lines = bytes.fromhex(work.python("-c", OPEN, f"semicolons://{Peer(SENT).address}").out).split(b"\n")
     assert parse_line(lines[1]).q == pytest.approx([math.pi / 2, math.radians(-45.5)], rel=1e-15)
+
+
+MAIN = "import sys; from truearm.cli.main import main; sys.exit(main(sys.argv[1:]))"
+POSES = ("identify", "poses.csv", "--model", "puma560", "--rig", "rig.toml")
+SESSION = ("identify", "s.mcap", "--model", "puma560", "--rig", "device.toml")
+PAIR = "return (*sensors, None, None)[:2] if len(sensors) <= 2 else (None, None)"
+# what is changed in the kind's module, into what, the command that meets it, and what its only line names
+MISTAKES = {
+    "a sensor for two channels": (PAIR, "return sensors[0]", SESSION, ["dwell()", "inclinometer", "2", "DwellSensor"]),
+    "too few sensors": (PAIR, "return sensors[:1]", SESSION, ["dwell()", "inclinometer", "2", "1"]),
+    "channels without streams": (
+        *('(("inclinometer",), ("inclinometer_b",))', '("inclinometer", "inclinometer_b")'),
+        *(POSES, ["truearm.kinds", "channels"]),
+    ),
+    "derivatives of another shape": (
+        "np.ones((1, len(axis), 1))",
+        "np.ones((len(axis), 1))",
+        POSES,
+        ["evaluate", "(w, n, c)"],
+    ),
+    "residuals of another shape": (
+        "(self.inclination - predicted",
+        "((self.inclination - predicted)[1:]",
+        POSES,
+        ["evaluate", "280 rows"],
+    ),
+    "a name that is not defined": (
+        "angle + gather",
+        "angles + gather",
+        POSES,
+        ["inclinometer.py", "evaluate", "angles"],
+    ),
+    "no unit": ('{"rad": "measured', '{"m": "measured', POSES, ["truearm.kinds", "residual", "rad"]),
+    "an unknown unit": ('("inclination",), "rad"', '("inclination",), "gon"', POSES, ["truearm.kinds", "gon"]),
+    "an import that fails": ("import numpy", "import nothing_such, numpy", POSES, ["truearm.kinds", "nothing_such"]),
+    "no kind": ("KIND = Kind", "KINDS = Kind", POSES, ["truearm.kinds", "KIND"]),
+    "another's name": ("inclinometer =", "position =", POSES, ["truearm.kinds", "position"]),
+    "a format without a module": ("truearm_lab:SCREWS", "lab:SCREWS", POSES, ["truearm.formats", "screws", "lab"]),
+    "a robot without a file": (
+        "truearm.robots]\nur3lab",
+        "truearm.robots]\nur9",
+        ("identify", "poses.csv", "--model", "ur9", "--rig", "rig.toml"),
+        ["truearm.robots", "ur9"],
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line(mistake, site, work, tmp_path):
+    before, after, command, words = MISTAKES[mistake]
+    wrong = Copy(tmp_path / "copy", ())
+    shutil.copytree(site, tmp_path / "site")
+    wrong.folder, wrong.paths = work.folder, [tmp_path / "site"]
+    files = (*(tmp_path / "site").glob("*/inclinometer.py"), *(tmp_path / "site").glob("*/entry_points.txt"))
+    (path,) = (file for file in files if before in file.read_text(encoding="utf-8"))
+    path.write_text(path.read_text(encoding="utf-8").replace(before, after), encoding="utf-8")
+    said = wrong.python("-c", MAIN, *command, code=2)
+    assert said.err.count("\n") == 1
+    assert [word for word in words if word not in said.err] == []

@@ -19,10 +19,11 @@ from typing import Any
 
 import click
 
+from truearm.additions import plug_in_error
 from truearm.cli.names import option_for
 from truearm.cli.output import print_json
 from truearm.cli.project import CommandGroup, defaults, missing_file
-from truearm.errors import TruearmError
+from truearm.errors import PlugInError, TruearmError
 from truearm.exit_codes import ExitCode, table
 from truearm.findings import Finding, option
 from truearm.text import one_line
@@ -118,6 +119,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         return _run(arguments)
+    except PlugInError as exc:  # the command itself may be what cannot be loaded
+        _complain(str(exc), exc.finding, arguments)
+        return exc.exit_code
     except TruearmError as exc:
         for finding in exc.noticed:
             print(f"{finding.severity}: {finding.text(option)}", file=sys.stderr)
@@ -142,7 +146,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return ExitCode.FAILED
     except Exception as exc:
         if not isinstance(exc.__cause__, KeyboardInterrupt):
-            raise
+            error = plug_in_error(exc)
+            if error is None:
+                raise
+            _complain(str(error), error.finding, arguments)
+            return error.exit_code
         _complain("interrupted")  # during the import of a compiled module, which turns it into an ImportError
         return ExitCode.INTERRUPTED
 

@@ -51,7 +51,7 @@ OWN: Mapping[str, Format] = {
     ),
     "sheth-uicker": Format(".toml_tables:sheth_uicker_table", ".toml", "links of six constants", ("offset", "gain")),
 }
-FORMATS = {name: Format(*form) for name, form in with_additions("formats", OWN).items()}
+FORMATS = with_additions("formats", OWN, lambda fields: Format(*fields))
 
 
 def formats_help() -> str:

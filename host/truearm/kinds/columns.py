@@ -11,7 +11,7 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from truearm.additions import with_additions
+from truearm.additions import instance, with_additions
 from truearm.kinds import NAMES
 from truearm.units import named, suffixes
 
@@ -53,7 +53,7 @@ class KindColumns:
 def declared() -> Mapping[str, KindColumns]:
     """Return what every kind declares, by its name."""
     bundled = {name: import_module(f"{__package__}.{name}").KIND for name in NAMES}
-    return with_additions("kinds", bundled) | ADDED
+    return with_additions("kinds", bundled, instance(KindColumns)) | ADDED
 
 
 @cache

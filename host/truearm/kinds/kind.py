@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from truearm.errors import PlugInError
 from truearm.findings import Finding
-from truearm.kinds.columns import KindColumns
+from truearm.kinds.columns import ANYWHERE, KindColumns
 from truearm.kinds.group import Group
 from truearm.kinds.proposals import Proposing
 from truearm.kinds.rig_references import RigUse, Scope
@@ -16,6 +17,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.schema import Entries
 from truearm.types import Floats, Indices, Point, Rig
+from truearm.units import UNITS
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,30 @@ class Kind(KindColumns):
     doubts: Callable[[ObservationTable, Rig, Chain], list[Finding]] | None = (
         None  # about rows that the device in the rig cannot have measured; of a plug-in, "doubtful-rows" with a reason
     )
+
+    def __post_init__(self) -> None:
+        """Raise TypeError or ValueError for a declaration that would fail at the first row."""
+        if any(isinstance(names, str) for names in self.channels):
+            raise TypeError('channels has a tuple of names for each stream, such as (("a",), ("b",))')
+        for column in (*self.grouped_by, *self.regions, *self.labels, *self.drawn_from):
+            if column not in (*self.identifiers, *ANYWHERE):
+                raise ValueError(f"{column!r} is not a column of identifiers in needs or may")
+        for unit in (*self.components, *(quantity.unit for quantity in self.quantities)):
+            if unit not in UNITS:
+                raise ValueError(f"{unit!r} is not a unit; use one of {', '.join(UNITS)}")
+        if lacking := [unit for unit in self.components if unit not in self.residual]:
+            raise ValueError(f"residual does not describe the component in {lacking[0]}")
+
+    def dwell_sensors(self, rig: Rig, mounted: Mapping[str, str]) -> Sequence[DwellSensor | None]:
+        """Return what ``dwell`` says of each stream. Raises PlugInError if it returns anything else."""
+        sensors = self.dwell(rig, mounted) if self.dwell else ()
+        each = sensors if isinstance(sensors, Sequence) else ()
+        if len(each) != len(self.channels) or not all(isinstance(sensor, DwellSensor | None) for sensor in each):
+            form = f"a sequence with a DwellSensor or None for each of its {len(self.channels)} channels"
+            place = f"dwell() of the kind {self.name}"
+            got = len(each) if isinstance(sensors, Sequence) else type(sensors).__name__
+            raise PlugInError("wrong-plug-in", place=place, reason=f"must return {form}, not {got}")
+        return sensors
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -54,15 +54,22 @@ class Linearised(NamedTuple):
 def linearised(
     residual: Floats, derivative: PointDerivatives, x: Floats, *columns: tuple[Indices, Floats]
 ) -> Linearised:
-    """Return residuals (m,) with the ``derivative`` of their predictions by the robot, and those by the rig at x (P,).
+    """Return residuals, (m,) or (n, w), with the ``derivative`` of their predictions by the robot, and those by the rig at x (P,).
 
     Each of the ``columns`` are the indices (n, c) of some of the rig's numbers and the derivatives (w, n, c) by these.
     """
     p = derivative.basis.twists.shape[1]
     jac_rig = zero_columns(derivative.wrenches, x.size - p)
+    w, n = derivative.wrenches.shape[:2]
+    if residual.size != w * n:
+        raise ValueError(f"residuals have the shape {residual.shape}, derivatives that of {n} rows with {w} residuals")
     for index, values in columns:
+        if values.shape != (w, *index.shape):
+            raise ValueError(
+                f"derivatives by the rig have the shape {values.shape}, and not (w, n, c) = {(w, *index.shape)}"
+            )
         scatter(jac_rig, index - p, values)
-    return Linearised(residual, derivative.wrenches, derivative.basis, jac_rig, derivative.jac_joints)
+    return Linearised(residual.ravel(), derivative.wrenches, derivative.basis, jac_rig, derivative.jac_joints)
 
 
 def gather(x: Floats, constants: Floats, index: Indices) -> Floats:

@@ -101,7 +101,7 @@ def in_device_axes(
         columns.append((rows.device[:, 3:], np.einsum("wni,nik->wnk", moment, turns)))
     if (rows.time_offset < x.size).any():
         columns.append((rows.time_offset, (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)))
-    return linearised((rows.xyz - predicted).ravel(), derivative, x, *columns)
+    return linearised(rows.xyz - predicted, derivative, x, *columns)
 
 
 def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, Floats]:

@@ -50,7 +50,7 @@ class SeatRows(Group):
         residual = gather(x, self.constants, self.socket) - trace.p_base
         axes = np.broadcast_to(np.eye(3)[:, None], (3, *residual.shape))
         derivative = along(trace, axes)
-        return linearised(residual.ravel(), derivative, x, (self.sphere, derivative.jac_point), (self.socket, -axes))
+        return linearised(residual, derivative, x, (self.sphere, derivative.jac_point), (self.socket, -axes))
 
     def settle(self, chain: Chain, x: Floats) -> SeatRows:
         """Return the seats with joint readings moved, as little as possible, until every ball is in its socket at x.

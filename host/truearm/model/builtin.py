@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from importlib import resources
 
-from truearm.additions import additions
+from truearm.additions import additions, blamed
 from truearm.errors import RobotError
 
 SUFFIX = ".toml"
@@ -23,8 +23,11 @@ def builtin_text(name: str) -> str:
     if name not in builtin_names():
         raise RobotError("wrong-value", place="built-in robot", value=name, names=list(builtin_names()))
     bundled = resources.files(__package__).joinpath("robots", name + SUFFIX)
-    file = bundled if bundled.is_file() else resources.files(additions("robots")[name].load()).joinpath(name + SUFFIX)
-    return file.read_text("utf-8")
+    if bundled.is_file():
+        return bundled.read_text("utf-8")
+    entry = additions("robots")[name]
+    with blamed(entry):
+        return resources.files(entry.load()).joinpath(name + SUFFIX).read_text("utf-8")
 
 
 def names_with_branch() -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from truearm.additions import with_additions
+from truearm.additions import instance, with_additions
 from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
@@ -47,7 +47,7 @@ GOOD = 1e-9  # rad, m: largest error of a valid inverse
 def terms() -> tuple[type[Term], ...]:
     """Return the terms in the order of TERM_FILES, then those of other packages (entry points "truearm.joint_terms")."""
     bundled = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
-    return tuple(with_additions("joint_terms", bundled).values())
+    return tuple(with_additions("joint_terms", bundled, instance(type)).values())
 
 
 @dataclass(frozen=True, eq=False)

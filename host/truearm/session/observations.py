@@ -173,7 +173,7 @@ def observations(
             bare = (replace(dwell, reason=stop.reason) for dwell, stop in zip(dwells, surveyed.dwells, strict=True))
             stops = dwells if kind_name == BAR else list(bare)
             for number in range(len(kind.channels)):
-                of_channels.append((kind_name, _measured(stops, kind_name, number, kind.dwell, surveyed, rig)))
+                of_channels.append((kind_name, _measured(stops, kind_name, number, kind.dwell_sensors, surveyed, rig)))
     dwells = dict(of_channels)[BAR]
     driven, channels, any_clock = list[LinePass](), surveyed.samples[LINE], bool(surveyed.clocks)
     for line_pass in passes:

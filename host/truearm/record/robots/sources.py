@@ -67,7 +67,7 @@ OWN: Mapping[str, SourceEntry] = {
     "lines+tcp": SourceEntry(".text_lines", "192.168.0.2:7008", "CSV, or JSON with names and units of its own"),
     "lines+udp": SourceEntry(".text_lines", "0.0.0.0:7008", "the same in datagrams, sent to this computer"),
 }
-SOURCES = {scheme: SourceEntry(*entry) for scheme, entry in with_additions("sources", OWN).items()}
+SOURCES = with_additions("sources", OWN, lambda fields: SourceEntry(*fields))
 TABLE = FileEntry(".joint_table", (".csv",), False, "a table (.csv)")
 FILES: tuple[FileEntry, ...] = (
     FileEntry(".bags", (".mcap", ".db3"), True, "a ROS 2 bag (a folder, .mcap or .db3)"),
