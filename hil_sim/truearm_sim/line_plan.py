@@ -12,10 +12,9 @@ from truearm.plan import plan_file
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import way_without_bar
 from truearm.plan.branches import branch_of
-from truearm.plan.cartesian_lines import candidate_lines
-from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Knowledge
-from truearm.plan.measurement_limits import Limits, Site
+from truearm.plan.line_plan import candidate_lines
+from truearm.plan.measurement_limits import Limits, Site, Sizes
 from truearm.plan.options import LineOptions
 from truearm.types import Floats, Plan, Point, Rig
 from truearm_sim.line_device import REACH

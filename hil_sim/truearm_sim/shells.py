@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import PlanError
-from truearm.plan.branch_inverse import Arm, inverse
+from truearm.plan.branches import Arm, inverse
 from truearm.plan.forecast import Knowledge, arm_of
+from truearm.plan.route import short_tour, untangled
 from truearm.plan.shells import TRIES, grid_directions, move_costs, tool_poses
-from truearm.plan.visit_order import short_tour, untangled
 from truearm.types import BallBar, Floats, Plan, Point
 
 # Between the tool's axis and the direction to the chuck. It separates the radius of a shell from the robot's size: with

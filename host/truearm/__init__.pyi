@@ -33,7 +33,7 @@ from truearm.findings import Finding as Finding
 from truearm.kinds.table import ObservationTable as ObservationTable
 from truearm.model.robot import Robot as Robot
 from truearm.plan.ball_bar_plan import BallBarPlan as BallBarPlan
-from truearm.plan.region import Region as Region
+from truearm.plan.measurement_limits import Region as Region
 from truearm.results import Estimate as Estimate
 from truearm.results import Figures as Figures
 from truearm.results import HeldOut as HeldOut

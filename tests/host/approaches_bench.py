@@ -6,9 +6,8 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.approaches import plan_approaches
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import Pace
-from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Knowledge
-from truearm.plan.measurement_limits import Limits, Pairing, Site
+from truearm.plan.measurement_limits import Limits, Pairing, Site, Sizes
 from truearm.plan.options import ApproachOptions
 from truearm.plan.route import Route
 from truearm_sim.world import standard_rig

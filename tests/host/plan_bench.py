@@ -10,9 +10,8 @@ import pytest
 from truearm.model.chain import forward, joint_frames, joint_jacobian
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import all_pairings, make_site, plan_ballbar
-from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Knowledge
-from truearm.plan.measurement_limits import Limits
+from truearm.plan.measurement_limits import Limits, Sizes
 from truearm.plan.options import Budget, PoseOptions
 from truearm.types import BallBar, Point, Rig
 from truearm_sim.world import standard_rig

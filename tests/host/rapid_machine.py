@@ -2,7 +2,7 @@
 
 It follows ABB's technical reference manual (RAPID instructions, functions and data types, RAPID kernel): identifiers
 have at most 32 characters, strings 80; words are case-insensitive; names in a module are unique; arrays count from 1.
-It is independent of ``truearm.plan.route_languages`` and of ``truearm.correct.programs``: as in ``urscript_machine``, each
+It is independent of ``truearm.plan.route_program`` and of ``truearm.correct.programs``: as in ``urscript_machine``, each
 statement becomes one of Python, in which S has the variables of a call, F the routines, and E makes an index of an element.
 """
 

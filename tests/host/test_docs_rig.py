@@ -12,7 +12,7 @@ from tests.host import plan_bench as bench
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.forecast import Aim, bar_table, forecast
-from truearm.plan.region import around, poses_in
+from truearm.plan.measurement_limits import around, poses_in
 from truearm.types import Plan
 from truearm_sim.world import standard_plan
 

@@ -29,8 +29,7 @@ from truearm.model.inverse import singular_value
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation
-from truearm.plan.forecast import Knowledge
-from truearm.plan.law_forecast import curve_forecasts
+from truearm.plan.forecast import Knowledge, curve_forecasts
 from truearm.report.figures import law_figures
 from truearm.report.result_findings import law_findings
 from truearm.strict_json import strict_json

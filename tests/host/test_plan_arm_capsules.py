@@ -8,7 +8,7 @@ from tests.host import plan_bench as bench
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
-from truearm.plan.collision_shapes import SHORT, Sizes, along_joints, clear, link_ends, make_shapes, segment_distance
+from truearm.plan.measurement_limits import SHORT, Sizes, along_joints, clear, link_ends, make_shapes, segment_distance
 from truearm.types import Point, Rig
 
 

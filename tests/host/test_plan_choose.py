@@ -18,12 +18,18 @@ from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.bar_paths import onto_shell, samples, way_without_bar, ways_with_bar
 from truearm.plan.branches import branch_of
 from truearm.plan.choose import TIE, Gains, Setup, as_blocks, choose, condensed, value
-from truearm.plan.collision_shapes import make_shapes, segment_distance
 from truearm.plan.first_rig import first_rig
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
-from truearm.plan.measurement_limits import Pairing, allowed, bar_vectors
+from truearm.plan.measurement_limits import (
+    Pairing,
+    allowed,
+    around,
+    bar_vectors,
+    make_shapes,
+    poses_in,
+    segment_distance,
+)
 from truearm.plan.options import Budget, Criterion
-from truearm.plan.region import around, poses_in
 from truearm.plan.shells import candidates
 from truearm.workflows.plan import BallBarOptions, knowledge_of, planned_ball_bar
 from truearm_sim.shells import plan_shells

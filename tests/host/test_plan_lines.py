@@ -16,15 +16,13 @@ from truearm.errors import PlanError
 from truearm.estimate.identify import identify
 from truearm.model.chain import forward, joint_frames, point_forward
 from truearm.plan.bar_paths import Pace
-from truearm.plan.cartesian_lines import a_priori, candidate_lines, driven_lines
-from truearm.plan.collision_shapes import Sizes, device_is_clear, make_shapes
 from truearm.plan.forecast import forecast
-from truearm.plan.line_plan import SETUP, line_rows, plan_lines
+from truearm.plan.line_plan import SETUP, a_priori, candidate_lines, driven_lines, line_rows, plan_lines
+from truearm.plan.measurement_limits import Region, Sizes, device_is_clear, make_shapes
 from truearm.plan.options import LineOptions
 from truearm.plan.plan_file import format_plan, parse_plan
-from truearm.plan.region import Region
+from truearm.plan.route import SETTLE, Signals, Task
 from truearm.plan.route_program import program
-from truearm.plan.route_stops import SETTLE, Signals, Task
 from truearm.types import Point, Rig
 
 POINT = np.array([0.03, -0.02, 0.12])

@@ -11,8 +11,8 @@ from tests.host.rapid_machine import run_rapid
 from tests.host.urscript_machine import run_urscript
 
 from truearm.errors import PlanError
+from truearm.plan.route import SETTLE, TIMEOUT, Signals, Stop, Task, identifier, plain
 from truearm.plan.route_program import program
-from truearm.plan.route_stops import SETTLE, TIMEOUT, Signals, Stop, Task, identifier, plain
 
 MACHINES = {".script": run_urscript, ".mod": run_rapid}
 ROUNDING = 6e-7  # rad: programs have 1e-6 rad or 1e-5 deg

@@ -17,8 +17,7 @@ from truearm.kinds.socket_distance import other_lengths
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.plan.forecast import planned_table
-from truearm.plan.socket_block import SocketBlock
-from truearm.plan.socket_places import plans_of_sites
+from truearm.plan.socket_places import SocketBlock, plans_of_sites
 from truearm.report.result_findings import result_findings
 from truearm.types import rms
 from truearm.workflows.socket_project import RIG

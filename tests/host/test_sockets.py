@@ -15,7 +15,7 @@ from tests.refusals import ended, shown
 
 from truearm.model.chain import joint_and_end_frames, point_forward, point_jacobians
 from truearm.model.robot_file import load_robot
-from truearm.plan.socket_block import SocketBlock
+from truearm.plan.socket_places import SocketBlock
 from truearm.workflows.socket_project import stl
 
 PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"

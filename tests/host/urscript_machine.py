@@ -2,7 +2,7 @@
 
 It follows Universal Robots' script manual: a program sent to the controller's port begins with ``def`` in the first
 column and ends with ``end`` there, all other lines are indented, and it runs when ``end`` has arrived. It is
-independent of ``truearm.plan.route_languages`` and of ``truearm.correct.programs``: each line becomes one of Python, in
+independent of ``truearm.plan.route_program`` and of ``truearm.correct.programs``: each line becomes one of Python, in
 which S has the variables of a call, G those of the program, F the functions, and P makes a pose.
 """
 

@@ -119,8 +119,7 @@ import click
 from truearm import option_defaults
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names, names_with_branch
-from truearm.plan.options import Criterion
-from truearm.plan.route_program import languages_help
+from truearm.plan.options import Criterion, languages_help
 from truearm.record.robots.sources import sources_help
 from truearm.units import DEG, KG, MM, Scale, from_shown
 
@@ -128,7 +127,7 @@ if TYPE_CHECKING:
     from truearm.model.chain import Chain
     from truearm.model.poses import Six
     from truearm.model.workspace import Branch
-    from truearm.plan.region import Region
+    from truearm.plan.measurement_limits import Region
     from truearm.types import Payload
     from truearm.workflows.certificates import Issue
     from truearm.workflows.inputs import Sources
@@ -244,7 +243,7 @@ def region_of(text: str) -> Region:
     """Return a box [m] from a text in mm."""
     import numpy as np
 
-    from truearm.plan.region import Region
+    from truearm.plan.measurement_limits import Region
 
     lower, upper = spans_of(MM, text, 3)
     return Region(np.array(lower), np.array(upper))

@@ -14,15 +14,12 @@ from numpy.typing import NDArray
 from truearm.display import Displayed
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
-from truearm.plan.bar_paths import Pace
+from truearm.plan.bar_paths import Pace, roadmaps
 from truearm.plan.branches import check_joints
 from truearm.plan.choose import TIE, Setup, as_blocks, choose
-from truearm.plan.collision_shapes import Sizes, make_shapes
 from truearm.plan.forecast import Aim, Forecast, Knowledge, arm_of, bar_table, candidate_rows, forecast, region_root
-from truearm.plan.measurement_limits import Limits, Pairing, Site
+from truearm.plan.measurement_limits import Limits, Pairing, Region, Site, Sizes, around, make_shapes, poses_in
 from truearm.plan.options import Budget, Criterion, PoseOptions
-from truearm.plan.region import Region, around, poses_in
-from truearm.plan.roadmap import roadmaps
 from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
 from truearm.progress import step

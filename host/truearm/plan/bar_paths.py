@@ -3,21 +3,40 @@
 A straight joint move between two poses of a shell leaves the shell halfway. If some sample of a move violates the
 limits, the middle of the move is brought back onto the shell by the smallest change of joints. With J_d = ∂d/∂q, this
 is Δq = J_dᵀ(J_d J_dᵀ)⁻¹(zero − d). The middle becomes a via point (Goswami 1993, Data collection). Both halves are then
-treated in the same way, up to DEEPEST halvings. If no path is found, the bar must be removed for the move. Moves
-without a bar may detour through a pose of the branch.
+treated in the same way, up to DEEPEST halvings.
+
+Where the tool would tilt too far or touch something, a chain of candidates leads around it (a probabilistic roadmap).
+Each edge of the graph is first checked at three points, the paths along a chain then at every sample. If no path is
+found, the bar must be removed for the move; moves without a bar may detour through postures of the branch.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import KDTree
 
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import along, point_forward, trace_point
-from truearm.plan.measurement_limits import STEP, Limits, Pairing, Site, allowed, arm_allows, device_allows
-from truearm.types import Floats
+from truearm.plan.measurement_limits import (
+    STEP,
+    Limits,
+    Pairing,
+    Site,
+    allowed,
+    arm_allows,
+    device_allows,
+    of_pairing,
+    pairing_at,
+)
+from truearm.progress import steps_of
+from truearm.types import Floats, Plan
 
 DEEPEST = 4  # halvings: at most 15 via points
 STEPS = 5  # of Newton's method; the third is exact to rounding for half the bulge of a shell
@@ -27,6 +46,9 @@ BETWEEN = 1.005  # a speed may peak between two samples: by at most (6 joints ·
 DETOURS = 200  # random postures towards which a way without a bar is sought, the nearest first
 ROUNDS = 5  # of further postures
 SHORT = np.array([[0.0], [0.5], [0.75], [0.88], [0.94]])  # shares of the way to one that may be left
+NEIGHBOURS = 8
+TRIES = 6  # chains
+SHARES = (0.25, 0.5, 0.75)  # of a path, where an edge is checked
 
 
 @dataclass(frozen=True)
@@ -72,11 +94,8 @@ def ways_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing) -> l
     """
     n = len(start)
     lost = np.zeros(n, dtype=bool)
-    path, low, high = (
-        np.arange(n),
-        np.zeros(n),
-        np.ones(n),
-    )  # of each section: its way, and where on it it begins and ends
+    # of each section: its way, and where on it it begins and ends
+    path, low, high = np.arange(n), np.zeros(n), np.ones(n)
     vias = [(path[:0], low[:0], start[:0])]
     for halving in range(DEEPEST + 1):
         blocked = ~moves_allowed(site, start, end, pairing)
@@ -181,3 +200,83 @@ def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pa
     fastest = BETWEEN * np.maximum.reduceat(chord, np.cumsum(count) - count)  # |∂p/∂s| [m], s from 0 to 1
     by_joints = np.abs(end - start).max(axis=1) / pace.joint_speed
     return np.asarray(np.maximum(PEAK * np.maximum(by_joints, fastest / pace.bar_speed), SHORTEST))
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """The graph of one pairing: candidates (n, j), and lengths (n, n) [rad] of edges not yet known to fail, else 0.
+
+    ``legs``: via points of the moves between two candidates that were checked, or None for a move that fails.
+    """
+
+    site: Site
+    pairing: Pairing
+    stock: Floats
+    edges: Floats
+    legs: dict[tuple[int, int], Floats | None] = field(default_factory=dict)
+
+    def check(self, moves: Iterable[tuple[int, int]]) -> None:
+        """Find the ways of all moves between candidates that were not checked before, together."""
+        new = [move for move in dict.fromkeys(moves) if move not in self.legs]
+        if new:
+            start, end = np.array(new).T
+            vias = ways_with_bar(self.site, self.stock[start], self.stock[end], self.pairing)
+            self.legs.update(zip(new, vias, strict=True))
+
+    def way(self, start: int, end: int) -> Floats | None:
+        """Return via points (v, j) of a path with the bar on, straight or over candidates; None if there is none."""
+        chain = [start, end]
+        for _ in range(TRIES + 1):
+            moves = list(pairwise(chain))
+            self.check(moves)
+            failed = [move for move in moves if self.legs[move] is None]
+            if not failed:
+                stops = [(self.legs[move], self.stock[move[1] : move[1] + 1]) for move in moves]
+                return np.concatenate([q for stop in stops for q in stop if q is not None])[:-1]
+            for a, b in failed:
+                self.edges[a, b] = self.edges[b, a] = 0.0
+            length, predecessor = dijkstra(
+                csr_array(self.edges), directed=False, indices=start, return_predecessors=True
+            )
+            if not np.isfinite(length[end]):
+                return None
+            chain = [end]
+            while chain[0] != start:
+                chain.insert(0, int(predecessor[chain[0]]))
+        return None
+
+
+def roadmaps(site: Site, poses: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
+    """Return the candidates reachable from most others of their pairing with the bar on, and their graphs."""
+    reachable, graphs = [], {}
+    pairings = list(dict.fromkeys(pairing_at(poses, i) for i in range(len(poses))))
+    for pairing in steps_of(pairings, f"looking for paths between {len(poses)} poses"):
+        rows = np.flatnonzero(of_pairing(poses, pairing))
+        edges = _edges(site, pairing, poses.q[rows])
+        _, label = connected_components(csr_array(edges), directed=False)
+        main = np.flatnonzero(label == np.argmax(np.bincount(label)))  # the largest set that appears to be connected
+        reachable.append(rows[main])
+        graphs[pairing] = Roadmap(site, pairing, poses.q[rows[main]], edges[np.ix_(main, main)])
+    return poses.select(np.concatenate(reachable)), graphs
+
+
+def _edges(site: Site, pairing: Pairing, q: Floats) -> Floats:
+    """Return the lengths (n, n) of apparently passable edges between near neighbours, 0 elsewhere."""
+    edges = np.zeros((len(q), len(q)))
+    if len(q) < 2:
+        return edges
+    _, neighbours = KDTree(q).query(q, min(NEIGHBOURS + 1, len(q)), p=np.inf)
+    first, second = np.repeat(np.arange(len(q)), neighbours.shape[1] - 1), neighbours[:, 1:].ravel()
+    first, second = np.unique(np.sort(np.stack([first, second]), axis=0), axis=1)
+    good = passable(site, q[first], q[second], pairing)
+    first, second = first[good], second[good]
+    edges[first, second] = edges[second, first] = np.abs(q[first] - q[second]).max(axis=1)
+    return edges
+
+
+def passable(site: Site, start: Floats, end: Floats, pairing: Pairing) -> NDArray[np.bool_]:
+    """Return a mask (n,) of straight moves that appear free, ignoring the bar's length, which via points correct."""
+    shares = np.array(SHARES)[:, None, None]
+    between = (start + shares * (end - start)).reshape(-1, start.shape[1])
+    any_length = replace(site.limits.tightened(), reserve=-np.inf)
+    return np.asarray(allowed(site, between, pairing, any_length).reshape(len(SHARES), -1).all(axis=0))

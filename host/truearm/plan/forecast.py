@@ -1,41 +1,59 @@
 """A forecast of what a plan will determine, before measuring: the linear algebra of the identification on planned rows.
 
 To first order, information does not depend on the readings, only on the poses. The planned poses are therefore turned
-into a table with the lengths that the model predicts, after the rows that were already measured. ``observe`` folds them
-as it would fold real rows. The sigmas are those that ``identify`` will report as long as the model is close to the
-truth. Errors of 10 mm and 50 mrad change them by a few per cent. The parameters that ``identify`` fixes, and the priors
-that it assumes by default, follow from the same rows (``choose_defaults``).
+into a table with the lengths that the model predicts, after the rows that were already measured. The sigmas are those
+that ``identify`` will report as long as the model is close to the truth. Errors of 10 mm and 50 mrad change them by a
+few per cent. The parameters that ``identify`` fixes, and the priors that it assumes by default, follow from the same
+rows (``choose_defaults``).
+
+Error curves are linear in their coefficients, so their covariance too depends on the poses only. Their prior is fixed
+and has the size found on real arms (docs/explanation/real-arms.md): TYPICAL at lengths of 0.1 to 0.2 rad. The noise is
+the declared one.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import PlanError
+from truearm.estimate.circumstances import poses
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identifiability import hardly_seen, identifiability
 from truearm.estimate.information import covariance, of_rows, seen, spectrum, with_prior
+from truearm.estimate.law_candidates import LENGTHS, candidates, gravity_of, law_priors
+from truearm.estimate.law_curves import SampledCurve, sampled_curves
+from truearm.estimate.law_fit import Learned, law_problem, posterior
+from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.prediction import seen_covariance
 from truearm.estimate.prior import prior_named, weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
-from truearm.estimate.solvers import Prior
+from truearm.estimate.solvers import LawMode, Prior
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.registry import end_points
 from truearm.kinds.registry import points as points_of_rig
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, forward, point_forward, point_jacobians
+from truearm.model.joint_law import terms
+from truearm.model.law_chain import with_laws
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
-from truearm.plan.branch_inverse import Arm, make_arm
+from truearm.plan.branches import Arm, make_arm
 from truearm.results import Defaults, NullDirection
 from truearm.types import Floats, Plan, Rig, rms
 from truearm.units import UNITS
+
+TYPICAL = 2e-4  # rad, at each of the lengths
+TYPICAL_LENGTHS = (0.1, 0.2)  # rad
+UNSEEN = 0.7  # of the prior's standard deviation: above it the poses carry almost no information
+LEAST_GAP = math.radians(3.0)
+SECTION = math.radians(30.0)
 
 
 @dataclass(frozen=True)
@@ -258,3 +276,81 @@ def with_rig_values(rig: Rig, values: Mapping[str, float]) -> Rig:
             moved[name] = replace(point, xyz=(x, y, z))
         rig = rig.with_named(field, moved)
     return rig
+
+
+@dataclass(frozen=True)
+class CurveForecast:
+    """The forecast of a joint's error curve from planned rows.
+
+    ``ranges``: the readings [rad] that planned poses cover, in sections of at most SECTION, each with the RMS standard
+    deviation [rad] of the curve; ``sigma`` [rad]: the same over all of them; ``unseen`` [rad]: ranges of readings
+    between the lowest and the highest that the poses do not determine.
+    """
+
+    joint: str
+    ranges: tuple[RangeSigma, ...]
+    sigma: float
+    unseen: tuple[tuple[float, float], ...]
+
+
+class RangeSigma(NamedTuple):
+    """A range of a joint's readings [rad], and the RMS standard deviation [rad] of its error curve there."""
+
+    lower: float
+    upper: float
+    sigma: float
+
+
+def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> tuple[CurveForecast, ...]:
+    """Return a forecast for every joint that would have an error curve."""
+    table = all_rows(knowledge, planned)
+    chain, n = _geometry(knowledge)
+    laws, _ = candidates(chain, table.q, LawMode.CURVE, gravity_of(table, None))
+    if not laws:
+        return ()
+    with_curves = with_laws(chain, laws)
+    problem = build_problem(with_curves, knowledge.rig, table)
+    added = len(with_curves.parameters) - n
+    columns = np.ones(problem.start.size, dtype=bool)
+    columns[:n] = knowledge.free[:n]
+    start = problem.start.copy()
+    start[:n] = knowledge.params[:n]
+    laws_problem = law_problem(problem, columns, start, poses(table), law_priors(chain, laws, table.q))
+    prior = np.where(np.isin(LENGTHS, TYPICAL_LENGTHS), TYPICAL**2, 0.0)
+    noise = PoseNoise.of(1.0, len(chain.joints))
+    learned = posterior(laws_problem, Learned(dict.fromkeys(laws, prior), noise, {}, math.nan, laws_problem.start))
+    covariance = np.zeros((n + added, n + added))
+    free = np.flatnonzero(columns[: n + added])
+    covariance[np.ix_(free, free)] = learned.covariance[: free.size, : free.size]
+    curves = sampled_curves(with_curves, laws, np.zeros(n + added), covariance)
+    return tuple(_curve_forecast(curve, UNSEEN * math.sqrt(prior.sum())) for curve in curves)
+
+
+def _curve_forecast(curve: SampledCurve, unseen: float) -> CurveForecast:
+    """Return the forecast of a curve with its standard deviations; those above ``unseen`` [rad] carry no information."""
+    readings, sigma = curve.readings, curve.sigma
+    between = (readings >= curve.intervals[0][0]) & (readings <= curve.intervals[-1][1])
+    sections = [
+        section
+        for run in _runs(curve.covered)
+        for section in np.array_split(run, math.ceil(float(np.ptp(readings[run])) / SECTION) or 1)
+    ]
+    ranges = tuple(
+        RangeSigma(float(readings[rows[0]]), float(readings[rows[-1]]), rms(sigma[rows])) for rows in sections
+    )
+    gaps = [readings[run] for run in _runs(between & (~curve.covered | (sigma > unseen)))]
+    unseen_ranges = tuple((float(gap[0]), float(gap[-1])) for gap in gaps if np.ptp(gap) >= LEAST_GAP)
+    return CurveForecast(curve.joint, ranges, rms(sigma[curve.covered]), unseen_ranges)
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the indices of each run of True."""
+    rows = np.flatnonzero(flags)
+    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
+
+
+def _geometry(knowledge: Knowledge) -> tuple[Chain, int]:
+    """Return the chain without the laws that an earlier result added, and its number of parameters."""
+    learned = {term.name for term in terms() if term.learned}
+    geometric = tuple(p for p in knowledge.chain.parameters if p.term not in learned)
+    return replace(knowledge.chain, parameters=geometric), len(geometric)

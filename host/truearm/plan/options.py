@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
 from truearm import option_defaults
 from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, MINUTES, SEED, TRAVEL, VISITS, OneOf, Within
+
+TABLE = ".csv"  # for an arm with any number of joints
+LANGUAGES: Mapping[str, str] = {".script": "URScript", ".mod": "RAPID", TABLE: "all stops"}  # of programs, by suffix
 
 
 class Criterion(StrEnum):
@@ -89,3 +93,8 @@ class ApproachOptions:
     dwell: Annotated[float, DWELL] = option_defaults.DWELL
     seed: Annotated[int, SEED] = option_defaults.SEED
     candidates: int = 400
+
+
+def languages_help() -> str:
+    """Return the suffixes of programs and their languages, as ``--help`` and messages show them."""
+    return ", ".join(f"{suffix} ({language})" for suffix, language in LANGUAGES.items())

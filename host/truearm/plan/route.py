@@ -1,7 +1,8 @@
-"""From chosen poses to a route: grouped pairings, short paths within them, via points, and the total time."""
+"""From chosen poses to a route: its stops, grouped by pairing, with short paths, via points, and the total time."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle, product
 from typing import NamedTuple
@@ -9,16 +10,101 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
+from truearm.plan.bar_paths import Pace, Roadmap, move_seconds, passable, way_without_bar
 from truearm.plan.measurement_limits import Pairing, Site, of_pairing, pairing_at
-from truearm.plan.roadmap import Roadmap, passable
-from truearm.plan.route_stops import Stop, plain, visits_of
 from truearm.plan.shells import move_costs
-from truearm.plan.visit_order import short_tour
 from truearm.progress import steps_of
 from truearm.types import Floats, Move, Plan, Triple
 
+TIMEOUT = 5.0  # s within which the box must answer
+SETTLE = 0.3  # s between arriving and signalling it
+SLOW = 0.2  # rad/s, rad/s² of the first move, from any position of the arm; RAPID: 50 mm/s
+LONGEST = 72  # characters of a text: RAPID's strings have 80, and a program needs some of them
 NEAR = 12  # poses to which the path is checked before the order is chosen
+
+
+class Stop(NamedTuple):
+    """One stop of a program, one row of the plan file.
+
+    Joints (j,); seconds of the move to it (0 for the first); what is measured there or on the way (``Move``); what the
+    operator must do before the arm moves off and when it has arrived ("" for nothing, otherwise as ``plain`` returns
+    it); the speed [m/s] of a line; what is mounted or driven along on the way, by the columns of a plan.
+    """
+
+    q: Floats
+    seconds: float
+    move: Move = Move.DWELL
+    before: str = ""
+    there: str = ""
+    speed: float = float("nan")
+    names: Mapping[str, str] = {}
+
+
+class Signals(NamedTuple):
+    """Digital lines of the controller to and from the box: numbers (UR) or names (RAPID's ``doTruearm``, ``diTruearm``)."""
+
+    output: int = 0
+    input: int | None = None
+
+
+class Task(NamedTuple):
+    """The content of a program other than its stops.
+
+    Dwell at a pose [s]; the point (x, y, z) [m] of the end frame that lines keep straight.
+    """
+
+    name: str
+    dwell: float = 2.0
+    signals: Signals = Signals()
+    tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def visits_of(stops: Sequence[Stop]) -> Plan:
+    """Return stops as a plan, row by row."""
+    names = {name: np.array([stop.names.get(name, "") for stop in stops]) for name in (*Plan.IDS, "line", "target")}
+    move, speed = np.array([stop.move.value for stop in stops]), np.array([stop.speed for stop in stops])
+    return Plan(np.array([stop.q for stop in stops]), move=move, speed=speed, **names)
+
+
+def plain(text: str) -> str:
+    """Return a text without characters that have a meaning in a controller's language."""
+    return re.sub(r"[^\w: .-]", "_", text, flags=re.ASCII)[:LONGEST]
+
+
+def identifier(name: str) -> str:
+    """Return a name that is valid in both languages, is not one of their keywords, and fits RAPID's 32 characters."""
+    return f"truearm_{re.sub(r'[^a-z0-9]+', '_', name.lower()).strip('_')}"[:32].rstrip("_")
+
+
+def short_tour(from_start: Floats, cost: Floats) -> NDArray[np.int64]:
+    """Return an order of n points with a small sum of move ``cost`` (n, n); ``from_start`` (n,) selects the first."""
+    order = [int(np.argmin(from_start))]
+    unvisited = np.ones(len(cost), dtype=bool)
+    for _ in range(len(cost) - 1):
+        unvisited[order[-1]] = False
+        order.append(int(np.argmin(np.where(unvisited, cost[order[-1]], np.inf))))
+    return untangled(np.array(order), cost)
+
+
+def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
+    """Return the tour after reversing sections of it as long as this reduces the cost (2-opt).
+
+    Going always to the nearest remaining point ends with long moves back to skipped points; this corrects them.
+    """
+    order = order.copy()
+    improved = True
+    while improved:
+        improved = False
+        for i in range(len(order) - 2):
+            # Reverse order[i+1 .. k]: the moves i→i+1 and k→k+1 become i→k and i+1→k+1; the last k has no k+1.
+            start, next_point, k = order[i], order[i + 1], order[i + 2 :]
+            gain = cost[start, next_point] - cost[start, k]
+            gain[:-1] += cost[k[:-1], k[1:]] - cost[next_point, k[1:]]
+            if gain.max() > 1e-12:
+                end = i + 3 + int(np.argmax(gain))
+                order[i + 1 : end] = order[i + 1 : end][::-1]
+                improved = True
+    return order
 
 
 class Visits(NamedTuple):

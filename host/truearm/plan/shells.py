@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
-from truearm.plan.branch_inverse import Arm, inverse
+from truearm.plan.branches import Arm, inverse
 from truearm.plan.measurement_limits import Pairing, Site, allowed
 from truearm.progress import steps_of
 from truearm.types import BallBar, Floats, Plan, Point

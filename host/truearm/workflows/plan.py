@@ -22,17 +22,13 @@ from truearm.plan.approaches import plan_approaches
 from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
-from truearm.plan.collision_shapes import Sizes
-from truearm.plan.forecast import Forecast, Knowledge, bar_table, forecast, with_rig_values
-from truearm.plan.law_forecast import curve_forecasts
+from truearm.plan.forecast import Forecast, Knowledge, bar_table, curve_forecasts, forecast, with_rig_values
 from truearm.plan.line_plan import LinePlan, plan_lines
-from truearm.plan.measurement_limits import Limits, Pairing
+from truearm.plan.measurement_limits import Limits, Pairing, Region, Sizes
 from truearm.plan.options import ApproachOptions, Budget, LineOptions, PoseOptions
 from truearm.plan.plan_file import write_plan
-from truearm.plan.region import Region
-from truearm.plan.route import Visits
-from truearm.plan.route_program import check_joints, check_suffix, program
-from truearm.plan.route_stops import Signals, Stop, Task
+from truearm.plan.route import Signals, Stop, Task, Visits
+from truearm.plan.route_program import check_language, program
 from truearm.progress import step
 from truearm.report.result_findings import held_frames
 from truearm.strict_json import number_or_null
@@ -282,15 +278,13 @@ def _read_knowledge(files: PlanFiles) -> Knowledge:
 
     Raises InputError if an output would replace an input or another output, and PlanError if no program can be for the robot.
     """
-    for path in files.program_out:
-        check_suffix(path.suffix.lower())
     inputs = [*files.robot.files, files.rig, files.result, *files.measured]
     outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.program_out)]
     check_outputs(outputs, files.force, filter(None, inputs))
     result = None if files.result is None else read_calibration(files.result, files.robot)
     robot = files.robot.load() if result is None else result.robot
     for path in files.program_out:
-        check_joints(path.suffix.lower(), len(robot.chain.joints))
+        check_language(path.suffix.lower(), len(robot.chain.joints))
     knowledge = replace(knowledge_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
     if not files.measured:
         return knowledge

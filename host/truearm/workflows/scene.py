@@ -15,7 +15,7 @@ from truearm.kinds.group import unit_columns
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.transforms import axis_of
-from truearm.plan.collision_shapes import Sizes, along_joints
+from truearm.plan.measurement_limits import Sizes, along_joints
 from truearm.report.residual_rows import row_name
 from truearm.report.scene_view import MOST_POINTS, Points, Scene
 from truearm.types import Floats, Rigs, rigs_by_name, thinned

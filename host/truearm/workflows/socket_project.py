@@ -21,8 +21,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import MAX_BYTES
 from truearm.model.robot import Robot
 from truearm.plan.forecast import Aim, Knowledge, forecast, planned_table
-from truearm.plan.socket_block import SocketBlock
-from truearm.plan.socket_places import Site, plans_of_sites
+from truearm.plan.socket_places import Site, SocketBlock, plans_of_sites
 from truearm.types import Rig
 from truearm.units import DEG, MM
 from truearm.workflows.plan import forecast_document, knowledge_of
