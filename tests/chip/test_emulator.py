@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from truearm.box.uf2 import read_uf2
+from truearm.box.flash import read_uf2
 from truearm_sim import node
 from truearm_wire.version import VERSION
 

@@ -16,7 +16,7 @@ from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
 from tests.host.findings_bench import listed
 
 from truearm import __version__
-from truearm.box.conversation import conversation
+from truearm.box.control import conversation
 from truearm.record import ports
 from truearm_sim.box import BoxSetup
 

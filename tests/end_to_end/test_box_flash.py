@@ -8,7 +8,7 @@ from tests.host.findings_bench import listed
 from tests.host.test_box_uf2 import image
 
 from truearm import __version__
-from truearm.box.boot_drive import find_drives
+from truearm.box.flash import find_drives
 
 
 def test_a_running_box_is_flashed(tmp_path, no_ports, printed):

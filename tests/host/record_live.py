@@ -6,8 +6,7 @@ import cbor2
 import numpy as np
 from record_box import ident
 
-from truearm.live.session_progress import SessionProgress
-from truearm.live.state import LiveState
+from truearm.live.state import LiveState, SessionProgress
 from truearm.record.operator import Counters, Status
 from truearm.session.box_ident import decode_ident
 from truearm.session.frames import Data

@@ -9,12 +9,12 @@ import pytest
 from truearm.box.configuration import (
     change_lines,
     channel_names,
+    check,
     check_ratios,
     format_config,
     with_assignment,
     with_file,
 )
-from truearm.box.configuration_schema import check
 from truearm.errors import ConfigError
 
 

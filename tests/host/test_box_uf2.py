@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.refusals import refused
 
-from truearm.box.uf2 import BLOCK, CHIPS, MAX_BYTES, boot_checksum, parse_uf2, read_uf2
+from truearm.box.flash import BLOCK, CHIPS, MAX_BYTES, boot_checksum, parse_uf2, read_uf2
 from truearm.errors import ImageError
 
 RP2040 = 0xE48BFF56

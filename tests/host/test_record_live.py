@@ -7,7 +7,7 @@ import pytest
 from record_live import NOISE, PAIRS, S, Session, plan
 
 from truearm.findings import Finding
-from truearm.live.session_progress import SessionProgress
+from truearm.live.state import SessionProgress
 
 
 class TestDwells:

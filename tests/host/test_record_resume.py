@@ -12,7 +12,7 @@ from tests.host.findings_bench import listed
 from tests.refusals import ended
 
 from truearm.cli.main import main
-from truearm.live.session_progress import SessionProgress
+from truearm.live.state import SessionProgress
 from truearm.plan.plan_file import write_plan
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from record_live import PAIRS, TODAY, S, Session, box, plan
 
-from truearm.box.readiness import Purpose, check_box, far_from_calibration
+from truearm.box.condition import Purpose, check_box, far_from_calibration
 from truearm.errors import InputError
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
-from truearm.live.keyboard import LONGEST, Typed
-from truearm.live.session_progress import SessionProgress
-from truearm.live.state import LOSSES, LiveState
+from truearm.live.state import LOSSES, LiveState, SessionProgress
+from truearm.live.view import LONGEST, Typed
 from truearm.record.operator import Counters
 from truearm.session.joint_format import JointLine
 from truearm.types import Rig

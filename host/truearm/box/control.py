@@ -1,4 +1,4 @@
-"""Communicate with a box outside a recording: commands and their answers, paged documents, and frames sent meanwhile.
+"""Communicate with a box outside a recording: open a conversation, commands and answers, and frames sent meanwhile.
 
 As in the recorder, time comes from the clock and passes only in ``Link.read``, so all of this also runs in the
 simulator's virtual time.
@@ -8,24 +8,27 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 import cbor2
 
-from truearm.errors import LinkError, ProtocolError, RefusedError
+from truearm.errors import Argument, LinkError, ProtocolError, RefusedError
 from truearm.progress import step
 from truearm.record.frame_splitter import FrameCount, FrameSplitter
-from truearm.record.links import Clock, Link
+from truearm.record.links import Clock, HostClock, Link, SerialLink
 from truearm.record.requests import NAMES, RETRIES, SECOND, NoAnswerError, Requests
 from truearm.session.box_ident import Ident, load_document
 from truearm.session.frames import Data, data_of, named_elements
 from truearm_wire import messages as wire
 from truearm_wire.cbor import CborError, encode
+from truearm_wire.messages import START, STOP
 
 SELF_TEST_RETRY_NS = 4 * SECOND  # it takes measurements for about a second
 CONFIG_PAGES_MAX = 16  # accepted by a box
 MAX_WAITING = 20_000  # unread frames; the oldest are dropped
 _READ_S = 0.05
+STREAMING = 4  # error code, protocol/SPEC.md §4
 
 
 class Sent(NamedTuple):
@@ -159,3 +162,51 @@ class BoxControl:
         if kind == wire.HEARTBEAT:
             self.heartbeat = fields
         self._waiting.append(Sent(t_host_ns, kind, data_of(frame) if kind == wire.DATA else None, fields))
+
+
+@contextmanager
+def conversation(device: str, stop: bool = False, retries: int = RETRIES) -> Iterator[BoxControl]:
+    """Open a conversation with the box at ``device``, identify it, and with ``stop`` end its streaming.
+
+    Raises LinkError, ProtocolError. If the box refuses because it is streaming, the error tells the user what to do.
+    """
+    clock = HostClock()
+    link = SerialLink(device, clock)
+    try:
+        box = BoxControl(link, clock)
+        box.identify(retries)
+        if stop:
+            box.command(STOP)
+        yield box
+    except RefusedError as exc:
+        if exc.code == STREAMING:
+            advice = (Argument("stop"), " if nothing records it")
+            raise RefusedError(
+                STREAMING, f"{device}: the box is streaming; end the recording first, or give ", *advice
+            ) from exc
+        raise
+    finally:
+        link.close()
+
+
+@contextmanager
+def streaming(box: BoxControl) -> Iterator[None]:
+    """Start the box, and stop it at the end, also after Ctrl-C while it starts; not if it refuses to start.
+
+    A box that refuses streams for a recording already.
+    """
+    with ExitStack() as stack:
+        stack.callback(box.command, STOP)
+        try:
+            box.command(START)
+        except RefusedError:
+            stack.pop_all()
+            raise
+        yield
+
+
+def one_line_of(ident: Ident) -> str:
+    """Describe a box in a few words."""
+    document = ident.document
+    board = f" on {document['board']}" if isinstance(document.get("board"), str) else ""
+    return f"truearm box {document.get('uid', '')!s:.32}, firmware {ident.firmware:.32}{board[:40]}"

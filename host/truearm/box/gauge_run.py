@@ -12,21 +12,23 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.box.condition import usable_channel
 from truearm.box.configuration import change_lines, checked_config
-from truearm.box.control import BoxControl
-from truearm.box.conversation import conversation, streaming
-from truearm.box.gauge_places import (
+from truearm.box.control import BoxControl, conversation, streaming
+from truearm.box.gauge_calibration import (
+    HEAD,
     MAX_REFERENCES,
     UNITS,
     Place,
     Places,
     beyond,
+    calibrate,
     check_references,
+    gauge_page,
     parse_reference,
     read_references,
+    with_calibration,
 )
-from truearm.box.gauge_result import HEAD, calibrate, gauge_page, with_calibration
-from truearm.box.readiness import usable_channel
 from truearm.box.requests import GaugeOptions
 from truearm.disk import check_writable, write_atomic
 from truearm.errors import LinkError, TruearmError

@@ -11,10 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.box.control import BoxControl, Sent
-from truearm.box.conversation import conversation, one_line_of, streaming
-from truearm.box.description import with_spread
-from truearm.box.readiness import LVDT, far_from_calibration
+from truearm.box.condition import LVDT, far_from_calibration, with_spread
+from truearm.box.control import BoxControl, Sent, conversation, one_line_of, streaming
 from truearm.findings import option
 from truearm.interrupt import asked_to_stop
 from truearm.session.box_ident import Channel, Ident, Stream

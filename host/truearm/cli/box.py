@@ -14,14 +14,10 @@ import click
 
 from truearm.bounds import DURATION
 from truearm.box import configuration
-from truearm.box.boot_drive import find_drives
-from truearm.box.configuration_schema import check
-from truearm.box.conversation import conversation, one_line_of
-from truearm.box.description import ident_lines, port_lines
-from truearm.box.flash import flash_box
+from truearm.box.condition import FAIL, PASS, WARN, entry, findings, ident_lines, port_lines
+from truearm.box.control import conversation, one_line_of
+from truearm.box.flash import CHIPS, find_drives, flash_box
 from truearm.box.requests import FlashOptions, GaugeOptions
-from truearm.box.selftest import FAIL, PASS, WARN, entry, findings
-from truearm.box.uf2 import CHIPS
 from truearm.cli.command import Answer, command
 from truearm.cli.output import print_lines
 from truearm.cli.project import CommandGroup
@@ -191,7 +187,7 @@ def put(changes: tuple[str, ...], *, box: str | None = None, dry_run: bool = Fal
         previous = config = configuration.checked_config(connected)
         for edit in edits:
             config = edit(config)
-        configuration.check_ratios(check(config))
+        configuration.check_ratios(configuration.check(config))
         changed = configuration.change_lines(previous, config)
         stored = bool(changed) and not dry_run
         if stored:

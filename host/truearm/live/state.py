@@ -6,8 +6,8 @@ need the operator's attention. Every alarm that begins, changes or ends is also 
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from typing import Any
@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.box.condition import LINE_CHANNELS, LVDT, Purpose, check_box, far_from_calibration
 from truearm.box.monitor import LastSecond, value_of
-from truearm.box.readiness import LINE_CHANNELS, LVDT, Purpose, check_box, far_from_calibration
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
-from truearm.live.session_progress import SessionProgress, check_mounted, parse_mounted, words_of
 from truearm.record.joint_lines import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent, Status
 from truearm.session.box_ident import Channel, Ident, Stream
@@ -30,11 +29,143 @@ from truearm.session.joint_format import JointLine
 from truearm.session.sample_noise import LEAST_LAGS, mean_of
 from truearm.session.samples import counts_of, extension, railed
 from truearm.text import counted, one_line
-from truearm.types import BAR_MOUNTED, Floats, Move, Rig
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, Floats, Move, Rig
 from truearm.units import MM, NS, UM, US
 
+MOUNTABLE = (*BAR_MOUNTED, "shell", *LINE_MOUNTED)
+TOLERANCE = np.pi / 180.0  # rad or m, as in session.dwells
 JOINT_RANGE, SENSOR_RANGE = 1e-3, 2e-4  # rad or m, and m: the readings of a rest lie within this
 GAP_S = 0.3  # after such a gap the state is not known
+STANDING_S = 0.3  # is displayed
+ENOUGH_S = 1.6  # half a second to settle, a second of samples, and a guard, as in session.dwells
+NEAR_END = 0.1  # of the travel, at each end
+DISPLAYED_BLOCKS = 8  # a tenth of a second: the bar may be moving
+DRY_S = 2.0  # a stream without samples for this long is reported
+CONTRADICTION = "contradiction"  # the row about a conflict between plan and operator
+HELP = "Enter: mounted as asked · bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME: this is mounted · note TEXT · q: end"
+LOSSES = {
+    "lost_frames": "frames lost on the link",
+    "overruns_in_box": "samples lost in the box",
+    "restarts": "restarts of the box",
+    "link_losses": "lost connections",
+    "robot_held_up": "waits, as the robot sends more than can be stored",
+    "robot_foreign": "datagrams not stored, as they are not the robot's",
+}
+
+
+@dataclass
+class SessionProgress:
+    """Progress through the plan.
+
+    ``rows`` is the plan as in ``/plan``, [] without one. ``mounted`` is what is mounted according to the operator or
+    the beginning of the plan. ``confirmed``: the operator stated it. ``done``: rows that were taken. ``unplanned``:
+    number of dwells and lines that are not in the plan, or without a plan. ``next``: the expected row. ``planned``: the rows by
+    kind of move.
+    """
+
+    rows: Sequence[Mapping[str, Any]] = ()
+    mounted: dict[str, str] = field(default_factory=dict)
+    done: set[int] = field(default_factory=set)
+    unplanned: Counter[str] = field(default_factory=Counter)
+    next: int = 0
+
+    def __post_init__(self) -> None:
+        self.confirmed = bool(self.mounted)
+        self.mounted = self.mounted or self.wanted() or {}
+        self._q = np.array([row["q"] for row in self.rows])
+        self._place: set[int] = set()  # rows at the last planned joints
+        moves = [row.get("move", Move.DWELL) for row in self.rows]
+        self.planned: dict[str, list[int]] = {move: [k for k, m in enumerate(moves) if m == move] for move in Move}
+
+    def taken(self, move: str) -> int:
+        """Return the number of dwells or lines, each row of the plan counted once."""
+        rows = self.planned[move]
+        return len(self.done.intersection(rows)) if rows else self.unplanned[move]
+
+    @property
+    def complete(self) -> bool:
+        """Whether all of the plan has been taken."""
+        return bool(self.rows) and self.done.issuperset(self.planned[Move.DWELL] + self.planned[Move.LINE])
+
+    def wanted(self) -> dict[str, str] | None:
+        """Return what the next row needs mounted; None at the plan's end and without a plan."""
+        return next((p for row in self.rows[self.next :] if (p := pairing_of(row))), None)
+
+    def change(self) -> dict[str, str] | None:
+        """Return what must be mounted now, None if it already is."""
+        pairing = self.wanted()
+        return None if pairing is None or pairing.items() <= self.mounted.items() else pairing
+
+    def mount(self, pairing: Mapping[str, str]) -> None:
+        """Note that a part is mounted from now on; a bar and a line exclude each other."""
+        self.confirmed = True
+        excluded = LINE_MOUNTED if "bar" in pairing else BAR_MOUNTED if "line" in pairing else ()
+        self.mounted = {k: v for k, v in self.mounted.items() if k not in excluded} | dict(pairing)
+
+    def visit(self, q: Floats | None) -> int | None:
+        """Note a dwell at joints ``q`` (None: unknown); return its row of the plan, None if it is not in the plan."""
+        rows_in_reach = None if q is None else self._near(q)
+        rows = [k for k in self.planned[Move.DWELL] if rows_in_reach is None or k in rows_in_reach]
+        row = next((k for k in rows if k >= self.next), rows[-1] if rows and q is not None else None)
+        self.note(Move.DWELL, row)
+        return row
+
+    def note(self, move: str, row: int | None) -> None:
+        """Note a dwell or a line of this row of the plan, None if it is not in the plan."""
+        if row is None:
+            self.unplanned[move] += 1
+        else:
+            self.done.add(row)
+            self.next = row + 1
+
+    def arrive(self, q: Floats) -> int | None:
+        """Note joints ``q``; return the line of the plan that ends there, if the arm came from its beginning."""
+        rows_in_reach = self._near(q) if self.planned[Move.LINE] else set()
+        if not rows_in_reach or rows_in_reach == self._place:
+            return None
+        row = next((k for k in self.planned[Move.LINE] if k in rows_in_reach and k - 1 in self._place), None)
+        self._place = rows_in_reach
+        if row is not None:
+            self.note(Move.LINE, row)
+        return row
+
+    def _near(self, q: Floats) -> set[int]:
+        """Return the rows of the plan at joints ``q``."""
+        if self._q.shape[1:] != q.shape:
+            return set()
+        return {*np.flatnonzero(np.max(np.abs(self._q - q), axis=1) <= TOLERANCE).tolist()}
+
+
+def pairing_of(row: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a row of the plan needs mounted."""
+    return {key: str(row[key]) for key in MOUNTED if row.get(key)}  # a shell is a position of the robot
+
+
+def words_of(pairing: Mapping[str, str]) -> str:
+    """Format a pairing on one line."""
+    return ", ".join(f"{key} {name}" for key, name in pairing.items()) or "nothing confirmed"
+
+
+def parse_mounted(text: str) -> dict[str, str]:
+    """Parse ``bar=bar46,chuck=c1`` into a mapping. Raises InputError."""
+    mounting: dict[str, str] = {}
+    for entry in text.split(","):
+        key, separator, name = (word.strip() for word in entry.partition("="))
+        if key not in MOUNTABLE or not separator or not name:
+            form = f"KEY=NAME, such as bar=bar46; KEY is one of {', '.join(MOUNTABLE)}"
+            raise InputError("wrong-value", place=Argument("mounted"), value=entry[:40], form=form)
+        if key in mounting:
+            raise InputError("given-twice", place=Argument("mounted"), what=key)
+        mounting[key] = name
+    return mounting
+
+
+def check_mounted(mounting: Mapping[str, str], rig: Rig) -> None:
+    """Raise InputError for a part that the rig does not have; a rig without lines accepts any."""
+    for key, names in rig.mounted().items():
+        if key in mounting and (names or key in BAR_MOUNTED) and mounting[key] not in names:
+            where, name = Argument("mounted"), mounting[key][:40]
+            raise InputError("not-in-rig", place=where, what=key, name=name, names=sorted(names))
 
 
 class Rest:
@@ -56,23 +187,6 @@ class Rest:
         self._extremes = np.array([together.min(axis=0), together.max(axis=0)])
         self.last_s, self.duration_s = t_s, t_s - self.begin_s
         return rests
-
-
-STANDING_S = 0.3  # is displayed
-ENOUGH_S = 1.6  # half a second to settle, a second of samples, and a guard, as in session.dwells
-NEAR_END = 0.1  # of the travel, at each end
-DISPLAYED_BLOCKS = 8  # a tenth of a second: the bar may be moving
-DRY_S = 2.0  # a stream without samples for this long is reported
-CONTRADICTION = "contradiction"  # the row about a conflict between plan and operator
-HELP = "Enter: mounted as asked · bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME: this is mounted · note TEXT · q: end"
-LOSSES = {
-    "lost_frames": "frames lost on the link",
-    "overruns_in_box": "samples lost in the box",
-    "restarts": "restarts of the box",
-    "link_losses": "lost connections",
-    "robot_held_up": "waits, as the robot sends more than can be stored",
-    "robot_foreign": "datagrams not stored, as they are not the robot's",
-}
 
 
 @dataclass(frozen=True)

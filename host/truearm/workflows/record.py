@@ -10,16 +10,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
 
-from truearm.box.configuration_schema import MODULATOR_NS
-from truearm.box.readiness import Purpose
+from truearm.box.condition import Purpose
+from truearm.box.configuration import MODULATOR_NS
 from truearm.disk import check_writable, read_bytes
 from truearm.errors import Argument, IncompleteError, InputError, RigError, TruearmError, WriteError
 from truearm.findings import Finding, entries, option
 from truearm.interrupt import asked_to_stop
 from truearm.kinds.rig_file import MAX_BYTES, parse_rig, read_rig
 from truearm.live.choose_box import choose_box
-from truearm.live.session_progress import SessionProgress, check_mounted, parse_mounted
-from truearm.live.state import LiveState
+from truearm.live.state import LiveState, SessionProgress, check_mounted, parse_mounted
 from truearm.live.view import showing
 from truearm.plan.plan_file import check_against_rig, read_plan
 from truearm.record import recorder

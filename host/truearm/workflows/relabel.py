@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import SURE, MountingChances, Readings, Words, mountings
 from truearm.findings import Finding, entries, stated
-from truearm.live.session_progress import check_mounted
+from truearm.live.state import check_mounted
 from truearm.model.robot import Robot
 from truearm.progress import step
 from truearm.session.dwells import POSE_TOLERANCE, Dwell

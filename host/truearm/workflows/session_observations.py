@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truearm.box.readiness import FAR, LVDT, LVDT_DRIFT, STEEL
+from truearm.box.condition import FAR, LVDT, LVDT_DRIFT, STEEL
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.findings import Finding
 from truearm.session.labels_file import read_labels

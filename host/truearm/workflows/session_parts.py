@@ -21,7 +21,7 @@ from truearm.record.write_lock import is_held
 from truearm.types import Move
 
 if TYPE_CHECKING:
-    from truearm.live.session_progress import SessionProgress
+    from truearm.live.state import SessionProgress
     from truearm.session.session_file import Session
 
 SUFFIX = ".mcap"

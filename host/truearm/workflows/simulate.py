@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.box.readiness import LVDT_DRIFT
+from truearm.box.condition import LVDT_DRIFT
 from truearm.disk import check_writable, own_folder, write_atomic
 from truearm.errors import Argument, IncompleteError, InputError, LinkError, PlanError
 from truearm.interrupt import asked_to_stop
