@@ -6,8 +6,7 @@ docs/how-to/extending.md has a recipe for each. What ``import truearm`` exports 
 imports this module.
 """
 
-from truearm.export.link_frames import check_gains, joint_motion
-from truearm.export.writing import RobotToWrite
+from truearm.export.writing import RobotToWrite, check_gains, joint_motion
 from truearm.findings import Finding
 from truearm.kinds.group import Group, KindFault
 from truearm.kinds.kind import DwellSensor, Kind

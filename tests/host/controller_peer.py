@@ -6,8 +6,8 @@ import threading
 
 import numpy as np
 
-from truearm.export.dh import dh_rows
-from truearm.export.link_frames import link_frames
+from truearm.export.toml_tables import dh_rows
+from truearm.export.writing import link_frames
 
 INFO, ROBOT_STATE = 5, 16
 

@@ -17,9 +17,8 @@ from truearm.kinds import NAMES
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report import calibration_page
-from truearm.report.certificate import MOST, Certificate, Recording, facts_of, sensor_facts, shortened
-from truearm.report.residual_rows import rows_by_kind
-from truearm.report.scene_view import Points, Scene
+from truearm.report.figures import rows_by_kind
+from truearm.report.page import MOST, Certificate, Points, Recording, Scene, facts_of, sensor_facts, shortened
 from truearm.results import Estimate, Figures, HeldOut, NullDirection, PredictedError
 from truearm.workflows.certificates import ALWAYS_EXCLUDED
 

@@ -14,8 +14,8 @@ from truearm.cli.main import main
 from truearm.estimate.identify import identify
 from truearm.estimate.result_document import result_of
 from truearm.estimate.result_file import RobotFrames, write_result
-from truearm.export.link_frames import link_frames
 from truearm.export.urdf import new_urdf
+from truearm.export.writing import link_frames
 from truearm.kinds.rig_file import read_rig, write_rig
 from truearm.kinds.table_file import write_table
 from truearm.model.builtin import builtin_text

@@ -17,8 +17,7 @@ from test_record_command import box_on_a_socket
 import truearm
 from truearm.errors import LinkError, RobotError
 from truearm.export import ur
-from truearm.export.link_frames import predicted
-from truearm.export.writing import RobotToWrite
+from truearm.export.writing import RobotToWrite, predicted
 from truearm.kinds.rig_file import write_rig
 from truearm.model.builtin import builtin_text
 from truearm.model.chain import point_forward

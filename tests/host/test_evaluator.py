@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from test_joint_laws import arm_with_laws
 
 from truearm.export.evaluator import write_c, write_python
-from truearm.export.link_frames import predicted
-from truearm.export.writing import RobotToWrite
+from truearm.export.writing import RobotToWrite, predicted
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
 

@@ -16,13 +16,11 @@ from term_bench import register
 from tests.refusals import refused
 
 from truearm.errors import RobotError
-from truearm.export import mjcf
 from truearm.export.formats import FORMATS
-from truearm.export.link_frames import link_frames
 from truearm.export.toml_tables import dh_hayati_table, dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
-from truearm.export.urdf import edited, joint_origins, new_urdf
-from truearm.export.writing import RobotToWrite, fit_to, writer, written
+from truearm.export.urdf import edited, joint_origins, new_urdf, write_mjcf
+from truearm.export.writing import RobotToWrite, fit_to, link_frames, writer, written
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
@@ -446,7 +444,7 @@ def test_an_mjcf_predicts_the_same(name):
     """Its bodies are multiplied by hand; by MuJoCo 4.0.0, the poses of three arms agree to 2e-15 m."""
     chain = builtin_robot(name).chain
     nominal, calibrated = disturbed(chain)
-    text = mjcf.write(RobotToWrite(chain, nominal, calibrated, comment="a--b"))
+    text = write_mjcf(RobotToWrite(chain, nominal, calibrated, comment="a--b"))
     body, q = ElementTree.fromstring(text).find("worldbody/body"), some_poses(chain, 1)[0]
     end, readings = np.eye(4), iter(q)
     while body is not None:

@@ -13,7 +13,7 @@ from truearm.box.gauge_calibration import Place, Places, calibrate, gauge_page
 from truearm.box.requests import GaugeOptions
 from truearm.findings import Finding, entries
 from truearm.report import correction_page
-from truearm.report.map_picture import Cells, map_picture
+from truearm.report.svg import Cells, map_picture
 from truearm.report.validation_findings import validation_findings
 from truearm.session.box_ident import Channel, Ident
 from truearm.session.sample_noise import mean_of

@@ -15,8 +15,7 @@ from truearm.file_kind import KINDS
 from truearm.findings import Finding
 from truearm.kinds import NAMES
 from truearm.kinds.registry import kinds
-from truearm.report.figures import figures_of
-from truearm.report.residual_rows import law_of, rows_by_kind
+from truearm.report.figures import figures_of, law_of, rows_by_kind
 from truearm.results import Figures, HeldOut, NullDirection
 
 # --- the page

@@ -23,8 +23,7 @@ from truearm.estimate.prediction import nominal_error
 from truearm.findings import findings_of
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
-from truearm.report.certificate import facts_of, sensor_facts
-from truearm.report.page import size
+from truearm.report.page import facts_of, sensor_facts, size
 from truearm.session.session_file import open_session
 from truearm.types import rms
 from truearm.units import MM

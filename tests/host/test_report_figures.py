@@ -11,10 +11,9 @@ from report_bench import HOSTILE, drawings, make_page, render
 from scipy import integrate, stats
 
 from truearm.report import svg
-from truearm.report.figures import MAX_POINTS, by_order
-from truearm.report.map_picture import Cells, map_picture
+from truearm.report.figures import MAX_POINTS, Law, by_order, rows_by_kind
 from truearm.report.page import escape, figures, number, size, tiles
-from truearm.report.residual_rows import Law, rows_by_kind
+from truearm.report.svg import Cells, map_picture
 
 # --- numbers and words
 

@@ -37,8 +37,18 @@ from truearm.disk import read_bytes, read_text, write_atomic
 from truearm.errors import Argument, ConfigError, InputError, TableError, WriteError
 from truearm.kinds.csv_cells import read_csv
 from truearm.report import svg
-from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.page import Figure, figures, html_page, number, paragraph, pictures, section, table
+from truearm.report.page import (
+    Certificate,
+    Figure,
+    certificate_section,
+    figures,
+    html_page,
+    number,
+    paragraph,
+    pictures,
+    section,
+    table,
+)
 from truearm.report.tables import Table
 from truearm.schema import raising
 from truearm.session.box_ident import Channel, Ident

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from truearm.export.link_frames import LinkFrames
 from truearm.export.toml_tables import NO_LIMIT
-from truearm.export.writing import RobotToWrite
+from truearm.export.writing import LinkFrames, RobotToWrite
 from truearm.types import Floats
 
 

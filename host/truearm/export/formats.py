@@ -30,7 +30,7 @@ class Format(NamedTuple):
 
 OWN: Mapping[str, Format] = {
     "urdf": Format(".urdf:write", ".urdf", "the robot's own URDF with other origins, or a new one", ("offset",)),
-    "mjcf": Format(".mjcf:write", ".xml", "MuJoCo's MJCF", ("offset",)),
+    "mjcf": Format(".urdf:write_mjcf", ".xml", "MuJoCo's MJCF", ("offset",)),
     "ur": Format(".ur:ur_yaml", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
     "calibration-conf": Format(
         ".ur:write_conf", ".conf", "Universal Robots' controller's own file", ("offset",), mountings=False

@@ -12,9 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.dh import dh_rows
-from truearm.export.link_frames import LinkFrames, check_gains, link_frames
-from truearm.export.writing import RobotToWrite
+from truearm.export.toml_tables import dh_rows
+from truearm.export.writing import LinkFrames, RobotToWrite, check_gains, link_frames
 from truearm.model.controller_kinematics import KEYS, SEGMENTS
 from truearm.model.poses import inverted, six_of
 from truearm.model.transforms import elementary

@@ -1,4 +1,4 @@
-"""A calibrated robot as URDF: an existing text with only its joint origins changed, or a new text for any chain.
+"""A calibrated robot as URDF or MuJoCo's MJCF: an existing URDF with only its joint origins changed, or a new text.
 
 *In place.* The robot was identified from a URDF, and that text is changed: ``xyz`` and ``rpy`` of the origins on the
 path from base to tip. Every other character stays, including comments and spaces. A URDF has no joint offsets: an
@@ -6,7 +6,8 @@ offset is a motion along the joint's own axis, and goes into the joint's origin.
 the base into the first joint of the path, that of the tool into the last one if that is fixed. Between the ends only
 the robot itself has changed.
 
-*New.* For any other chain, a URDF of links without shape: base frame, mounting, joints, flange, mounting, end frame.
+*New.* For any other chain, a URDF of links without shape: base frame, mounting, joints, flange, mounting, end frame. An
+MJCF has bodies with a joint each; masses and shapes are yours to add.
 
 ``model.urdf`` has already parsed the text; it rejects document type declarations.
 """
@@ -23,10 +24,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.link_frames import LinkFrames, check_gains, joint_motion
-from truearm.export.writing import RobotToWrite
+from truearm.export.writing import LinkFrames, RobotToWrite, check_gains, joint_motion
 from truearm.model.chain import Chain
-from truearm.model.poses import inverted, six_of
+from truearm.model.poses import inverted, position_and_rotation, six_of
 from truearm.model.transforms import Element, elementary
 from truearm.types import Floats
 
@@ -220,3 +220,35 @@ def _joint(name: str, kind: str, parent: str, child: str, origin: Floats, conten
         *([content.rstrip("\n")] if content else []),
         "  </joint>",
     ]
+
+
+def write_mjcf(source: RobotToWrite) -> str:
+    """Return an MJCF. Raises RobotError for gains, which it cannot hold."""
+    robot = source.robot
+    check_gains(robot, "an MJCF")
+    names = link_names(robot)
+    motions = [joint_motion(joint, float(x)) for joint, x in zip(robot.joints, robot.offsets, strict=True)]
+    origins = [np.eye(4), robot.base, *map(np.matmul, robot.links, [*motions, np.eye(4)]), robot.tool]
+    lines = [f"<mujoco model={quoteattr(robot.name)}>"]
+    if source.comment:
+        lines.append(f"  <!-- {source.comment.replace('--', '- -')} -->")
+    lines += ['  <compiler angle="radian" boundmass="0.01" boundinertia="1e-5"/>', "  <worldbody>"]
+    for depth, (name, origin) in enumerate(zip(names, origins, strict=True)):
+        lines.append(f"{'  ' * (depth + 2)}<body name={quoteattr(name)}{_place(origin)}>")
+        if 2 <= depth < 2 + len(robot.joints):
+            joint = robot.joints[depth - 2]
+            kind = "slide" if joint.kind == "prismatic" else "hinge"
+            limited = np.isfinite([joint.lower, joint.upper]).all()
+            limit = f' limited="true" range="{joint.lower!r} {joint.upper!r}"' if limited else ""
+            lines.append(f'{"  " * (depth + 3)}<joint name={quoteattr(joint.name)} type="{kind}" axis="0 0 1"{limit}/>')
+    lines += [f"{'  ' * (depth + 2)}</body>" for depth in reversed(range(len(names)))]
+    return "\n".join([*lines, "  </worldbody>", "</mujoco>", ""])
+
+
+def _place(pose: Floats) -> str:
+    """Return the attributes of a body's place."""
+    x, y, z, *vector = position_and_rotation(pose[None])[0].tolist()
+    angle = float(np.linalg.norm(vector))
+    quaternion = [np.cos(0.5 * angle), *(0.5 * np.sinc(0.5 * angle / np.pi) * np.array(vector))]
+    numbers = (" ".join(repr(float(value) + 0.0) for value in values) for values in ((x, y, z), quaternion))
+    return "".join(f' {key}="{text}"' for key, text in zip(("pos", "quat"), numbers, strict=True))

@@ -11,12 +11,9 @@ from typing import Any
 from truearm.estimate.law_curves import SampledCurve
 from truearm.findings import findings_of
 from truearm.report import page, result_tables
-from truearm.report.certificate import Certificate, Facts, certificate_section
-from truearm.report.figures import figures_of, law_figures
-from truearm.report.page import ABSENT, figures
-from truearm.report.residual_rows import ResidualRows
+from truearm.report.figures import ResidualRows, figures_of, law_figures
+from truearm.report.page import ABSENT, Certificate, Facts, Scene, certificate_section, figures
 from truearm.report.result_findings import sizes
-from truearm.report.scene_view import Scene
 from truearm.text import counted
 from truearm.units import SUFFIXES
 

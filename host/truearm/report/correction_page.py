@@ -13,7 +13,7 @@ import numpy as np
 
 from truearm.findings import Reason, findings_of, option
 from truearm.report import page, svg
-from truearm.report.scene_view import Scene
+from truearm.report.page import Scene
 from truearm.report.tables import Table
 from truearm.text import counted, one_line
 from truearm.types import Floats, rms, thinned

@@ -1,9 +1,16 @@
-"""Pages: a list of blocks in one frame.
+"""Pages: a list of blocks in one frame, with a certificate as page one and a 3-D view.
 
 A block is HTML, made here of plain text: a heading, sentences, facts, a table, a picture, what findings say. A page is
 a single HTML file with style and pictures. A Content-Security-Policy prevents the browser from loading anything, and
-from running any script but that of its 3-D view (report/scene_view.py). It opens from disk without a network, follows
-the reader's light or dark setting, can be printed, and fits a phone.
+from running any script but that of its 3-D view. It opens from disk without a network, follows the reader's light or
+dark setting, can be printed, and fits a phone.
+
+The 3-D view shows the arm, its fixtures, and points with error vectors. The page holds them as JSON and one script,
+``view3d/bundle.js``, which only runs if its hash is that of the page's Content-Security-Policy. ``view3d/view.js`` is
+its source. The view stays hidden without the script or without WebGL; the page's pictures stay for these and for paper.
+
+The certificate says what was calibrated, against what, the errors, and what they do not include. It fits on a sheet of
+A4: items that do not fit (many sensors, many files) are counted. ``workflows.certificates`` says what is in it.
 """
 
 from __future__ import annotations
@@ -11,22 +18,138 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
-from typing import NamedTuple
+from itertools import compress
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
-from truearm.report.scene_view import Scene, script, view_section
 from truearm.report.tables import Table
-from truearm.units import SUFFIXES, shown, symbol
+from truearm.text import counted
+from truearm.types import Floats
+from truearm.units import DEGC, MM, SUFFIXES, shown, symbol
 
+MOST_POINTS = 1000  # of a set: about 130 kB with vectors, joints and names
+LONGEST_NAME = 80
 POLICY = ("default-src 'none'", "style-src 'unsafe-inline'")
 GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
 ABSENT = "–"
 MINUS = "\u2212"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+MOST = 4  # sensors, parts of the rig and files listed on page one
+Facts = tuple[tuple[str, str], ...]  # labels and values
+UNRECORDED = ("temperature", "not recorded")
+SIGNATURE = "".join(f"<p>{field}</p>" for field in ("place, date", "name", "signature"))
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """A set of n points to draw, each with the joints at which the arm reaches it.
+
+    ``xyz`` (n, 3) [m] is in the base frame and ``q`` (n, j) [rad, m]. ``values`` (n,) [m] colour the points and ``vectors`` (n, 3)
+    [m] start at them, by name; NaN where there is none. ``fixture`` (n,) is the index of the fixture that a bar connects
+    the point to, -1 for none.
+    """
+
+    name: str
+    xyz: Floats
+    q: Floats
+    labels: Sequence[str]
+    values: Mapping[str, Floats]
+    vectors: Mapping[str, Floats]
+    fixture: Sequence[int] = ()
+
+    @property
+    def placed(self) -> NDArray[np.bool_]:
+        """Return which points (n,) can be drawn: those with a position and joints."""
+        return np.asarray(np.isfinite(np.column_stack([self.xyz, self.q])).all(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The data of a view, in the base frame.
+
+    ``joints`` (j, 7): 1 for a revolute joint, a point on its axis [m] and the axis's direction, with all joints at 0.
+    ``links`` and ``tools`` (m, 8) are capsules there: the joint that each moves with (0: none), both ends and the radius [m].
+    ``fixtures`` are names and positions [m].
+    """
+
+    title: str
+    caption: str
+    joints: Floats
+    links: Floats
+    tools: Floats
+    fixtures: Mapping[str, Floats]
+    points: Sequence[Points]
+
+    @property
+    def is_empty(self) -> bool:
+        """Return whether there is no point to draw."""
+        return not self.points[0].placed.any()
+
+
+COLOURS = ("val", "fit")  # of page.css: of the first vectors, those before, and of the second, those after
+
+
+def view_section(scene: Scene | None) -> str:
+    """Return the section of a page, to be shown by ``script()``; "" without anything to show."""
+    if scene is None or scene.is_empty:
+        return ""
+    # No text can end the element: "<" is escaped. Everything that is not ASCII is too.
+    data = json.dumps(_data(scene), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    shown = '<section id="view3d" hidden><h2>In the workspace</h2></section>\n'
+    return f'{shown}<script type="application/json" id="scene">{data}</script>\n'
+
+
+def script(scene: Scene | None) -> str:
+    """Return the script of a page; "" without anything to show."""
+    if scene is None or scene.is_empty:
+        return ""
+    return files("truearm.report").joinpath("view3d/bundle.js").read_text(encoding="ascii")
+
+
+def _data(scene: Scene) -> dict[str, Any]:
+    arm = {
+        "joints": [["r" if row[0] else "t", *_rounded(row[1:])] for row in scene.joints],
+        "links": [[int(row[0]), *_rounded(row[1:])] for row in scene.links],
+        "tools": [[int(row[0]), *_rounded(row[1:])] for row in scene.tools],
+    }
+    fixtures = [
+        {"name": name[:LONGEST_NAME], "xyz": _rounded(xyz), "post": "chuck." in name}
+        for name, xyz in scene.fixtures.items()
+    ]
+    clouds = [_cloud(points) for points in scene.points]
+    return {"title": scene.title, "caption": scene.caption, "arm": arm, "fixtures": fixtures, "clouds": clouds}
+
+
+def _cloud(points: Points) -> dict[str, Any]:
+    placed = points.placed
+    return {
+        "name": points.name,
+        "points": _rounded(points.xyz[placed]),
+        "q": _rounded(points.q[placed]),
+        "labels": [label[:LONGEST_NAME] for label in compress(points.labels, placed)],
+        "values": [{"name": name, "mm": _rounded(MM.of(value[placed]))} for name, value in points.values.items()],
+        "vectors": [
+            {"name": name, "colour": colour, "mm": _rounded(MM.of(vector[placed]))}
+            for colour, (name, vector) in zip(COLOURS, points.vectors.items(), strict=False)
+        ],
+        "fixture": list(compress(points.fixture, placed)),
+    }
+
+
+def _rounded(values: Floats) -> list[Any]:
+    """Return values to five decimals: 10 µm, 0.01 µm of an error; None where a value or a component is missing."""
+    if values.ndim > 1:
+        return [_rounded(row) if np.isfinite(row).all() else None for row in values]
+    return [round(value, 5) if np.isfinite(value) else None for value in values.tolist()]
 
 
 class Figure(NamedTuple):
@@ -208,3 +331,87 @@ def size(value: float, si: str, unit: str | None = None) -> str:
     if not math.isfinite(value):
         return ABSENT
     return f"{figures(shown(value, si))} {symbol(si) if unit is None else unit}".rstrip()
+
+
+class Recording(NamedTuple):
+    """How a session was recorded: its file, when in UTC, "" if unknown, and the facts about it and about the sensors of its box.
+
+    ``temperatures``: name, lowest and highest reading [°C] of each thermometer.
+    """
+
+    name: str
+    begun: str
+    facts: Facts
+    sensors: Facts
+    samples_lost: int
+    temperatures: tuple[tuple[str, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The content of page one: groups of facts, and findings: the decision, then what the error does not include."""
+
+    heading: str
+    groups: tuple[tuple[str, Facts], ...]
+    findings: tuple[Finding, ...] = ()
+
+
+def facts_of(recordings: Sequence[Recording]) -> Facts:
+    """Return labels and values of how sessions were recorded; of several, labels start with the session's name."""
+    are_many = len(recordings) > 1
+    return tuple(
+        (f"{recording.name}: {label}" if are_many else label, value)
+        for recording in recordings
+        for label, value in recording.facts
+    )
+
+
+def conditions(recordings: Sequence[Recording]) -> Facts:
+    """Return how the rows were recorded; what several sessions have of their own is on a later page."""
+    if not recordings:
+        return (("recording", "tables, which do not say how they were recorded"), UNRECORDED)
+    if len(recordings) == 1:
+        return facts_of(recordings)
+    readings: dict[str, list[float]] = {}
+    for name, *degc in (reading for recording in recordings for reading in recording.temperatures):
+        readings.setdefault(name, []).extend(degc)
+    temperatures = [(f"temperature of the {name}", between(min(degc), max(degc))) for name, degc in readings.items()]
+    return (
+        ("sessions", f"{len(recordings)}, listed under The recording"),
+        ("samples lost", f"{sum(recording.samples_lost for recording in recordings):,}"),
+        *(temperatures or [UNRECORDED]),
+    )
+
+
+def sensor_facts(recordings: Sequence[Recording]) -> Facts:
+    """Return the sensors of the boxes with their calibrations."""
+    sensors = tuple(dict.fromkeys(sensor for recording in recordings for sensor in recording.sensors))
+    return shortened(sensors)
+
+
+def shortened(facts: Facts) -> Facts:
+    """Return at most MOST facts, and how many are not listed."""
+    return facts[:MOST] + (("more", counted(len(facts) - MOST, "entry", "entries")),) * (len(facts) > MOST)
+
+
+def recorded(recordings: Sequence[Recording]) -> str:
+    """Return the days on which sessions were recorded."""
+    days = sorted({recording.begun[:10] for recording in recordings if recording.begun})
+    return " to ".join(dict.fromkeys((days[0], days[-1]))) if days else "not known"
+
+
+def certificate_section(certificate: Certificate) -> str:
+    """Return page one as HTML."""
+    body = "".join(f"<h3>{escape(title)}</h3>{fact_list(facts)}" for title, facts in certificate.groups if facts)
+    texts = [finding.text(option) for finding in certificate.findings]
+    decision = "".join(f'<p class="decision">{escape(text, 400)}</p>' for text in texts[:1])
+    excluded = f"<h3>Not included</h3>{sentences(texts[1:], 'excluded')}" if texts else ""
+    return (
+        f'<section class="certificate"><h2>{certificate.heading}</h2>{decision}{body}{excluded}'
+        f'<div class="signature">{SIGNATURE}</div></section>\n'
+    )
+
+
+def between(lowest: float, highest: float) -> str:
+    """Return a range of temperatures."""
+    return f"{DEGC.of(lowest):.1f} to {DEGC.text(highest, '.1f')}"

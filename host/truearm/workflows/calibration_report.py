@@ -17,7 +17,7 @@ from truearm.results import Estimate
 from truearm.types import Floats, Rigs, rigs_by_name
 
 if TYPE_CHECKING:
-    from truearm.report.certificate import Certificate, Recording
+    from truearm.report.page import Certificate, Recording
     from truearm.workflows.calibration import Identification
 
 
@@ -32,8 +32,8 @@ def write_page(
     written.
     """
     from truearm.report.calibration_page import render
-    from truearm.report.certificate import facts_of
-    from truearm.report.residual_rows import rows_by_kind
+    from truearm.report.figures import rows_by_kind
+    from truearm.report.page import facts_of
     from truearm.workflows.scene import calibration_scene
 
     table, estimate = identification.table, identification.estimate

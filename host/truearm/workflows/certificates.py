@@ -16,8 +16,7 @@ from truearm.estimate.result_file import Input
 from truearm.findings import Finding
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
-from truearm.report.certificate import Certificate, Facts, Recording, conditions, recorded, sensor_facts, shortened
-from truearm.report.page import size
+from truearm.report.page import Certificate, Facts, Recording, conditions, recorded, sensor_facts, shortened, size
 from truearm.results import Figures, Gain
 from truearm.text import counted
 from truearm.types import Rigs, rigs_by_name, rms

@@ -13,8 +13,8 @@ import numpy as np
 
 from truearm.disk import check_writable, read_text, write_atomic
 from truearm.errors import Argument, InputError, LinkError, RobotError
-from truearm.export.dh import dh_rows
-from truearm.export.link_frames import link_frames
+from truearm.export.toml_tables import dh_rows
+from truearm.export.writing import link_frames
 from truearm.findings import Finding
 from truearm.model import controller_kinematics
 from truearm.model.builtin import builtin_text

@@ -27,7 +27,7 @@ from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
-from truearm.report.certificate import UNRECORDED, Facts, Recording, between
+from truearm.report.page import UNRECORDED, Facts, Recording, between
 from truearm.session.box_ident import decimal
 from truearm.session.labels_file import labels_path, read_labels
 from truearm.text import one_line

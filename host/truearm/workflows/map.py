@@ -15,9 +15,9 @@ from truearm.errors import Argument, InputError
 from truearm.findings import Finding, entries, ordered
 from truearm.kinds.csv_cells import csv_text
 from truearm.progress import step
-from truearm.report.map_picture import Cells, map_picture
 from truearm.report.page import html_page, scrolled
 from truearm.report.page import section as page_section
+from truearm.report.svg import Cells, map_picture
 from truearm.results import Figures
 from truearm.text import one_line
 from truearm.types import CurveKnots, Floats

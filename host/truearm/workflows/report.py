@@ -16,8 +16,7 @@ from truearm.estimate.result_file import Result, read_result
 from truearm.findings import entries, findings_of
 from truearm.model.robot_file import load_robot
 from truearm.progress import step
-from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.page import html_page, making, section, table
+from truearm.report.page import Certificate, certificate_section, html_page, making, section, table
 from truearm.report.validation_findings import error_tables
 from truearm.workflows.calibration import Identification, frames_of, read_calibration
 from truearm.workflows.calibration_report import write_page

@@ -16,8 +16,8 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.transforms import axis_of
 from truearm.plan.measurement_limits import Sizes, along_joints
-from truearm.report.residual_rows import row_name
-from truearm.report.scene_view import MOST_POINTS, Points, Scene
+from truearm.report.figures import row_name
+from truearm.report.page import MOST_POINTS, Points, Scene
 from truearm.types import Floats, Rigs, rigs_by_name, thinned
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, Identification

@@ -1,5 +1,5 @@
 // The 3-D view of a page: the arm, fixtures, points with their error vectors, a field. Its data are the JSON of #scene
-// (report/scene_view.py), lengths in m, errors in mm. It draws when something changes, and asks nothing of the network.
+// (report/page.py), lengths in m, errors in mm. It draws when something changes, and asks nothing of the network.
 import {
   AmbientLight, Box3, BufferGeometry, CapsuleGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight, Float32BufferAttribute, Group,
   InstancedMesh, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshLambertMaterial, PerspectiveCamera, Quaternion,
