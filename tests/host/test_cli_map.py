@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 
+from truearm.correct.correction import ModelPair
 from truearm.correct.error_map import ErrorMap, best_region, error_map
-from truearm.correct.model_pair import ModelPair
 from truearm.estimate.result_file import read_result
 from truearm.findings import Finding
 from truearm.model.chain import forward, joint_frames

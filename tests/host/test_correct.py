@@ -9,9 +9,8 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from term_bench import register
 
 from truearm.correct.configurations import search, turned, within
-from truearm.correct.correction import Configuration, correct
+from truearm.correct.correction import Configuration, ModelPair, correct
 from truearm.correct.methods import Method
-from truearm.correct.model_pair import ModelPair
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter

@@ -12,9 +12,7 @@ from tests.host.findings_bench import listed
 from tests.host.result_schema import signed
 from tests.host.target_bench import rapid, table
 
-from truearm.correct.correction import Configuration, correct
-from truearm.correct.model_pair import ModelPair
-from truearm.correct.straight_moves import limit_margins, straight_moves
+from truearm.correct.correction import Configuration, ModelPair, correct, limit_margins, straight_moves
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.model.chain import forward
 from truearm.model.inverse import singular_value

@@ -10,8 +10,7 @@ from test_joint_laws_monte_carlo import table_of
 from tests.host.findings_bench import listed
 from ur10_bench import RIG, ROBOT
 
-from truearm.correct.correction import Configuration, correct
-from truearm.correct.model_pair import ModelPair
+from truearm.correct.correction import Configuration, ModelPair, correct
 from truearm.errors import InputError, ProblemError
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.law_candidates import knots, law_priors

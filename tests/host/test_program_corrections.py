@@ -18,9 +18,8 @@ from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.rapid_machine import run_rapid
 from tests.host.urscript_machine import run_urscript
 
-from truearm.correct.correction import MARGIN, MOST_TURN
+from truearm.correct.correction import MARGIN, MOST_TURN, ModelPair
 from truearm.correct.methods import JointMoves
-from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs import corrected_text
 from truearm.correct.programs.data import Form
 from truearm.correct.programs.languages import language_of

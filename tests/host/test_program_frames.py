@@ -15,9 +15,8 @@ from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.test_program_corrections import DATA, OBJECTS, POSES, TOOLS, Q, matrix, mm, module, robtarget, six
 
 from truearm.cli import main as cli
-from truearm.correct.correction import MARGIN
+from truearm.correct.correction import MARGIN, ModelPair
 from truearm.correct.methods import JointMoves
-from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import language_of
 from truearm.model.chain import forward
 from truearm.model.inverse import inverse

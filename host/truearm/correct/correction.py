@@ -1,8 +1,27 @@
 """Corrected targets: what to command, the remaining error, and which targets must be rejected.
 
-``newton`` is the full inverse of the identified model; ``false-target`` (32), ``joints`` (34) and ``offsets`` (35) are
-the paper's methods. Each yields joint readings q. A controller that accepts poses is given f_n(q), which it converts
-back into q.
+``newton`` is the full inverse of the identified model. The other methods are those of Renders (1991, IV); each yields
+joint readings q. A controller that accepts poses is given f_n(q), which it converts back into q.
+
+**False targets** (IV-B), for a controller that keeps its nominal model. For the target x_d the end arrives at x_n =
+f_i(f_n⁻¹(x_d)), so the target is shifted by the opposite:
+
+    x_m = x_d + (x_d − x_n)                                   (32)
+
+Repeated: x_m ← f_n(q) + (x_d − f_i(q)). Orientations are composed.
+
+**Joint space** (IV-C), for a controller that accepts readings, with the nominal Jacobian or its pseudo-inverse:
+
+    q_i = f_n⁻¹(x_d) + J_n⁻¹·(x_d − x_n)                      (34)
+
+One step of either leaves an error of second order.
+
+**Offsets** (IV-C), in the paper by the zeros of encoders:
+
+    q_i = f_n⁻¹(x_d) − Δq                                     (35)
+
+Here it is the reading θ_i⁻¹(θ_n(q_n)) at which the true joints are where the controller aims: exact if only the joint
+law is wrong.
 
 A target is rejected, without a guess, if the nominal or the identified robot cannot reach it within the joint limits.
 So is one closer to a singularity than ``margin``, and one where an iteration increases the error.
@@ -15,14 +34,15 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.correct.configurations import Origins, search, within
 from truearm.correct.methods import Method
-from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
-from truearm.correct.renders_methods import false_target, joint_space, offsets
 from truearm.display import Displayed
-from truearm.model.inverse import inverse, singular_value
-from truearm.model.poses import apart
+from truearm.model.chain import Chain, forward
+from truearm.model.inverse import inverse, jacobian, singular_value
+from truearm.model.poses import apart, inverted, moved
+from truearm.model.robot_mounting import NONE, Mountings, own_law
 from truearm.model.rotation import rotation_vector
 from truearm.option_defaults import MARGIN
 from truearm.text import counted
@@ -31,12 +51,70 @@ from truearm.types import Floats
 ROUNDING = 1e-9  # m, rad: below this, an iteration only changes the last digits
 TURNS = 3  # of a free orientation: each makes its error by the mounting of the tool a hundred times smaller
 MOST_TURN = 0.5  # rad, m: a correction that moves a joint further leads to another configuration
+JUMP = 1.0  # rad, m of a joint between samples: more means another configuration, or passing a singularity
+SAMPLES = 9  # points between the ends: the deviation is smooth, largest near the middle
+
+
+class ModelPair(NamedTuple):
+    """A chain with nominal and identified parameters (p,).
+
+    ``mountings`` other than the identity are removed: targets are then poses of the robot's own flange in its own base
+    frame. Otherwise they are poses of the calibration's end frame in its base frame.
+    """
+
+    chain: Chain
+    nominal: Floats
+    identified: Floats
+    mountings: Mountings = NONE
+
+
+def believed(pair: ModelPair, q: Floats) -> Floats:
+    """Return f_n(q), (n, 4, 4): the pose of the end in the controller's model (Renders 1991, (29))."""
+    return forward(pair.chain, pair.nominal, q)
+
+
+def reached(pair: ModelPair, q: Floats) -> Floats:
+    """Return f_i(q), (n, 4, 4): the actual pose of the end (Renders 1991, (30))."""
+    pose = forward(pair.chain, pair.identified, q)
+    return np.asarray(inverted(pair.mountings.base) @ pose @ inverted(pair.mountings.tool))
+
+
+def in_rig(pair: ModelPair, targets: Floats) -> Floats:
+    """Return targets (n, 4, 4) as poses in the identified chain's own frames."""
+    return np.asarray(pair.mountings.base @ targets @ pair.mountings.tool)
+
+
+def false_target(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
+    """Apply one step of (32): return the joint readings (n, j) that the controller uses for the false targets.
+
+    targets : (n, 4, 4) x_d. q : (n, j) where the controller goes for the current targets, initially f_n⁻¹(x_d). NaN
+        where the nominal robot does not reach the false target.
+    """
+    commanded = moved(believed(pair, q), apart(targets, reached(pair, q)))
+    return inverse(pair.chain, pair.nominal, commanded, q, oriented)
+
+
+def joint_space(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
+    """Apply one step of (34) for targets (n, 4, 4) from q (n, j), initially f_n⁻¹(x_d)."""
+    error = apart(targets, reached(pair, q))[:, : 6 if oriented else 3, None]
+    return np.asarray(q + (np.linalg.pinv(jacobian(pair.chain, pair.nominal, q, oriented, lever=1.0)) @ error)[..., 0])
+
+
+def offsets(pair: ModelPair, q_nominal: Floats) -> Floats:
+    """Return the readings (n, j) at which the true joint angles are those of the nominal robot at q_nominal (n, j).
+
+    NaN where there are none.
+    """
+    law = pair.chain.law
+    taken_out = pair.mountings is not NONE
+    identified = own_law(pair.chain, pair.nominal, pair.identified) if taken_out else pair.identified
+    return law.readings(identified, law.angles(pair.nominal, q_nominal))
 
 
 class Configuration(NamedTuple):
     """Which of the arm's configurations the controller uses.
 
-    ``q_start``: (n, j) near the joints that it will use. Without it they are searched for (``inverse.search``), near
+    ``q_start``: (n, j) near the joints that it will use. Without it they are searched for (``configurations.search``), near
     ``home`` (j,) first, within ``quadrants`` (n, j), each nearest to the robot's previous position by ``origins``.
     """
 
@@ -217,3 +295,55 @@ def _error(pair: ModelPair, targets: Floats, q: Floats, oriented: bool) -> Float
     error = apart(targets, reached(pair, q))
     angle = np.linalg.norm(error[:, 3:], axis=-1) if oriented else np.full(len(q), np.nan)
     return np.stack([np.linalg.norm(error[:, :3], axis=-1), angle], axis=-1)
+
+
+class StraightMoves(NamedTuple):
+    """n moves: the largest deviation of the true tool from the line, and the smallest margins, with both ends.
+
+    Of a line that the controller's model cannot follow, the limits are those as far as it can.
+    """
+
+    deviation: Floats  # (n,) m, NaN if the line cannot be followed
+    singular_value: Floats  # (n,) of the nominal robot, NaN likewise
+    limits: Floats  # (n, j) rad or m to each joint's nearest limit, negative beyond it
+    drivable: NDArray[np.bool_]  # (n,) whether the controller's model follows the line without a jump of a joint
+
+
+def straight_moves(pair: ModelPair, q_start: Floats, commanded: Floats, tool: Floats) -> StraightMoves:
+    """Drive straight from joint readings (n, j) to commanded poses ``commanded`` (n, 4, 4) of the end.
+
+    ``tool`` (n, 4, 4) is the pose of the tool in the end frame.
+    """
+    begin = believed(pair, q_start) @ tool
+    motion = apart(commanded @ tool, begin)
+    path = [np.asarray(q_start, dtype=float)]
+    drivable, lost = np.ones(len(commanded), dtype=bool), np.zeros(len(commanded), dtype=bool)
+    for share in np.linspace(0.0, 1.0, SAMPLES + 2)[1:]:
+        q = inverse(pair.chain, pair.nominal, moved(begin, share * motion) @ inverted(tool), path[-1])
+        drivable &= np.abs(q - path[-1]).max(axis=-1) < JUMP
+        lost |= np.isnan(q).any(axis=-1)
+        path.append(np.where(np.isnan(q), path[-1], q))
+    places = np.array([(reached(pair, q) @ tool)[:, :3, 3] for q in path])
+    singular = np.min([singular_value(pair.chain, pair.nominal, q) for q in path], axis=0)
+    limits = np.min([limit_margins(pair.chain, q) for q in path], axis=0)
+    deviation, singular = (np.where(lost, np.nan, values) for values in (_deviation(places), singular))
+    return StraightMoves(deviation, singular, limits, drivable & (limits >= 0.0).all(axis=1))
+
+
+def limit_margins(chain: Chain, q: Floats) -> Floats:
+    """Return the distance (…, j) [rad or m] of joint readings (…, j) to the nearest limit of each.
+
+    It is negative outside the limits, and inf where there is none.
+    """
+    lower, upper = chain.limits
+    return np.asarray(np.minimum(q - lower, upper - q))
+
+
+def _deviation(places: Floats) -> Floats:
+    """Return the largest distance (n,) of points (samples, n, 3) from the line between the first and the last."""
+    chord = places[-1] - places[0]
+    length = np.linalg.norm(chord, axis=-1, keepdims=True)
+    along = np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0)
+    offset = places - places[0]
+    offset = offset - (offset * along).sum(axis=-1, keepdims=True) * along
+    return np.asarray(np.linalg.norm(offset, axis=-1).max(axis=0))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from truearm.correct.configurations import within
-from truearm.correct.model_pair import ModelPair, believed, reached
+from truearm.correct.correction import ModelPair, believed, reached
 from truearm.display import Displayed
 from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from truearm.correct.configurations import several_fit
-from truearm.correct.correction import Configuration, Correction, at_tools
+from truearm.correct.correction import Configuration, Correction, ModelPair, at_tools
 from truearm.correct.methods import with_steps
-from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
 from truearm.correct.target_table import check_is_table, format_corrected, read_targets
 from truearm.disk import check_new_folder, check_outputs, check_writable, read_bytes, write_atomic, write_folder

@@ -12,9 +12,17 @@ from numpy.typing import NDArray
 from truearm.collector import uncollected
 from truearm.correct.configurations import Origins, several_fit, solutions, within
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
-from truearm.correct.correction import Configuration, Correction, at_tools, correct, joined
+from truearm.correct.correction import (
+    Configuration,
+    Correction,
+    ModelPair,
+    at_tools,
+    believed,
+    correct,
+    joined,
+    straight_moves,
+)
 from truearm.correct.methods import JointMoves, Method
-from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.programs import corrected_text
 from truearm.correct.programs.census import Census
 from truearm.correct.programs.data import Place
@@ -24,7 +32,6 @@ from truearm.correct.programs.poses import readings_of
 from truearm.correct.programs.program import Goal, Move, Program, Surroundings
 from truearm.correct.programs.reread import difference, target_poses
 from truearm.correct.programs.tokens import Source
-from truearm.correct.straight_moves import straight_moves
 from truearm.errors import Argument, InputError
 from truearm.findings import Finding, Reason
 from truearm.model.chain import joint_jacobian

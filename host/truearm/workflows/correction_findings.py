@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.correct.configurations import SAME
-from truearm.correct.correction import Correction
-from truearm.correct.model_pair import ModelPair
-from truearm.correct.straight_moves import StraightMoves, limit_margins
+from truearm.correct.correction import Correction, ModelPair, StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.findings import Finding
 from truearm.model.inverse import singular_value

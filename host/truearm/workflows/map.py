@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from truearm.correct.correction import ModelPair
 from truearm.correct.error_map import BestRectangle, ErrorMap, best_region, error_map
-from truearm.correct.model_pair import ModelPair
 from truearm.disk import check_outputs, write_atomic
 from truearm.errors import Argument, InputError
 from truearm.findings import Finding, entries, ordered

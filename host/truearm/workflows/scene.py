@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from truearm.correct.correction import ModelPair, believed, reached
 from truearm.correct.error_map import ErrorMap
-from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.estimate.prediction import measured_points, nominal_gap, point_covariance
 from truearm.estimate.validation import Judgement, judge
 from truearm.kinds.group import unit_columns
