@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from truearm.correct.programs.census import Census
+from truearm.correct.programs.corrected_text import target_poses
 from truearm.correct.programs.languages import SUFFIXES, ProgramLanguage, read_programs
 from truearm.correct.programs.program import Goal, Surroundings
-from truearm.correct.programs.reread import target_poses
 from truearm.correct.programs.tokens import Source
 from truearm.model.poses import frame_of, inverted
 from truearm.types import Floats

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from truearm.correct.controller_frames import base_of, flange_of
+from truearm.correct.programs.languages import base_of, flange_of
 from truearm.model.robot_file import RobotChoice, load_robot
 from truearm.workflows.correct import tool0_in_flange
 

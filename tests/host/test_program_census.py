@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from truearm.correct.programs.census import Census
-from truearm.correct.programs.corrected_text import Joints, changed_files, changes_of
+from truearm.correct.programs.corrected_text import Joints, changed_files, changes_of, difference, target_poses
 from truearm.correct.programs.languages import read_programs
-from truearm.correct.programs.poses import readings_of
 from truearm.correct.programs.program import Surroundings
-from truearm.correct.programs.reread import difference, target_poses
+from truearm.correct.programs.reading import readings_of
 from truearm.correct.programs.tokens import Source
 from truearm.model.poses import frame_of, inverted
 

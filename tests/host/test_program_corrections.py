@@ -21,8 +21,8 @@ from tests.host.urscript_machine import run_urscript
 from truearm.correct.correction import MARGIN, MOST_TURN, ModelPair
 from truearm.correct.methods import JointMoves
 from truearm.correct.programs import corrected_text
-from truearm.correct.programs.data import Form
 from truearm.correct.programs.languages import language_of
+from truearm.correct.programs.program import Form
 from truearm.errors import InputError
 from truearm.findings import Finding, Reason
 from truearm.model.chain import forward

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from truearm.collector import uncollected
 from truearm.correct.configurations import Origins, several_fit, solutions, within
-from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import (
     Configuration,
     Correction,
@@ -25,12 +24,11 @@ from truearm.correct.correction import (
 from truearm.correct.methods import JointMoves, Method
 from truearm.correct.programs import corrected_text
 from truearm.correct.programs.census import Census
-from truearm.correct.programs.data import Place
-from truearm.correct.programs.languages import ProgramLanguage, read_programs
+from truearm.correct.programs.corrected_text import difference, target_poses
+from truearm.correct.programs.languages import SAME, Frame, ProgramLanguage, base_of, flange_of, read_programs
 from truearm.correct.programs.order import MOST_ORIGINS, preceding
-from truearm.correct.programs.poses import readings_of
-from truearm.correct.programs.program import Goal, Move, Program, Surroundings
-from truearm.correct.programs.reread import difference, target_poses
+from truearm.correct.programs.program import Goal, Move, Place, Program, Surroundings
+from truearm.correct.programs.reading import readings_of
 from truearm.correct.programs.tokens import Source
 from truearm.errors import Argument, InputError
 from truearm.findings import Finding, Reason

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from truearm.correct.programs.data import Datum, Place
-from truearm.correct.programs.program import Goal, Move, Program
+from truearm.correct.programs.program import Datum, Goal, Move, Place, Program
 from truearm.findings import Reason
 from truearm.model.poses import apart, inverted
 from truearm.types import Floats

@@ -15,12 +15,24 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
 
-from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Scope, Uses
-from truearm.correct.programs.language_words import steps_of, words_of
 from truearm.correct.programs.order import closure
-from truearm.correct.programs.poses import check_reach, matrix_of_angles
-from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
-from truearm.correct.programs.reading import Reading, Uncertain
+from truearm.correct.programs.program import (
+    IDENTITY,
+    Change,
+    Datum,
+    Form,
+    Goal,
+    Literal,
+    Move,
+    Place,
+    Program,
+    Scope,
+    Step,
+    Surroundings,
+    Target,
+    Uses,
+)
+from truearm.correct.programs.reading import Reading, Uncertain, check_reach, matrix_of_angles, steps_of, words_of
 from truearm.correct.programs.tokens import (
     KRL,
     Source,

@@ -7,10 +7,20 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from truearm.correct.programs.data import Datum, Form, Literal, Place
-from truearm.correct.programs.poses import check_reach
-from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
-from truearm.correct.programs.reading import Reading, Uncertain
+from truearm.correct.programs.program import (
+    IDENTITY,
+    Datum,
+    Form,
+    Goal,
+    Literal,
+    Move,
+    Place,
+    Program,
+    Step,
+    Surroundings,
+    Target,
+)
+from truearm.correct.programs.reading import Reading, Uncertain, check_reach
 from truearm.correct.programs.tokens import Source
 from truearm.types import Floats
 

@@ -13,11 +13,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Scope
-from truearm.correct.programs.language_words import steps_of, table_of, words_of
-from truearm.correct.programs.poses import check_reach, matrix_of_quaternion
-from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
-from truearm.correct.programs.reading import Reading, Uncertain, arithmetic
+from truearm.correct.programs.program import (
+    IDENTITY,
+    Change,
+    Datum,
+    Form,
+    Goal,
+    Literal,
+    Move,
+    Place,
+    Program,
+    Scope,
+    Step,
+    Surroundings,
+    Target,
+)
+from truearm.correct.programs.reading import (
+    Reading,
+    Uncertain,
+    arithmetic,
+    check_reach,
+    matrix_of_quaternion,
+    steps_of,
+    table_of,
+    words_of,
+)
 from truearm.correct.programs.tokens import (
     NUMBER,
     RAPID,
