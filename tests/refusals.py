@@ -4,8 +4,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from truearm.cli import findings_text
 from truearm.cli import main as cli
+from truearm.cli import output
 from truearm.errors import TruearmError
 from truearm.finding_texts import STATEMENTS
 
@@ -20,7 +20,7 @@ def _kept(message, finding=None, arguments=()):
 
 cli._complain = _kept
 shown = {}  # the values of the findings by code that the last command printed in this process
-_show = findings_text.show
+_show = output.show
 
 
 def _show_and_keep(printed, *arguments, **options):
@@ -29,7 +29,7 @@ def _show_and_keep(printed, *arguments, **options):
     _show(printed, *arguments, **options)
 
 
-findings_text.show = _show_and_keep
+output.show = _show_and_keep
 
 
 @contextmanager

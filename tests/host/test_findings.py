@@ -10,8 +10,8 @@ import pytest
 from tests.host.findings_bench import stated
 
 import truearm.finding_texts
-from truearm.cli.findings_text import show
 from truearm.cli.main import command_tree
+from truearm.cli.output import show
 from truearm.errors import Argument, InputError, PlanError, ProblemError, RobotError, TableError
 from truearm.finding_texts import ERRORS, REASONS, STATEMENTS, Severity
 from truearm.findings import Finding, worded

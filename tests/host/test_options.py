@@ -13,7 +13,7 @@ from tests.refusals import ended
 from truearm.bounds import CELL
 from truearm.cli import command as declaration
 from truearm.cli.main import TASKS, command_tree, main
-from truearm.cli.names import EARLIER, MEANINGS
+from truearm.cli.project import EARLIER, MEANINGS
 from truearm.errors import RobotError
 from truearm.model.robot_file import load_robot
 from truearm.plan.options import PoseOptions

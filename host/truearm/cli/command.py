@@ -45,7 +45,7 @@ import click
 from truearm import units
 from truearm.bounds import OneOf, Within
 from truearm.cli import options
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import DETAILS, print_json, print_lines, show
 from truearm.cli.project import EXPERT, CommandGroup, Parameter, ProjectCommand
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode
@@ -112,8 +112,6 @@ class Answer:
 
     def show(self, as_json: bool, details: bool | None) -> None:
         """Print it; ``details`` is None for a command that has none."""
-        from truearm.cli.findings_text import DETAILS, show
-
         if as_json:
             print_json(self.document)
         elif self.lines is not None:

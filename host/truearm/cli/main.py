@@ -20,9 +20,8 @@ from typing import Any
 import click
 
 from truearm.additions import plug_in_error
-from truearm.cli.names import option_for
 from truearm.cli.output import print_json
-from truearm.cli.project import CommandGroup, defaults, missing_file
+from truearm.cli.project import CommandGroup, defaults, missing_file, option_for
 from truearm.errors import PlugInError, TruearmError
 from truearm.exit_codes import ExitCode, table
 from truearm.findings import Finding, option

@@ -331,7 +331,7 @@ def inspect(session: Path, *, details: bool = False, json: bool = False, allow_d
         Print rates, clocks and gaps, and tables of streams, dwells and lines.
     """
     from truearm.cli.details import session_tables
-    from truearm.cli.findings_text import show
+    from truearm.cli.output import show
     from truearm.report.session_findings import session_findings
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import describe
