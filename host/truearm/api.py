@@ -45,9 +45,8 @@ from truearm.workflows.calibration import Calibration, Identification, calibrati
 from truearm.workflows.identify import DEFAULTS, IdentifyOptions, Progress
 from truearm.workflows.inputs import Observed, Sources, completed_rigs, read_sources
 from truearm.workflows.plan import BallBarOptions
+from truearm.workflows.recorded_session import channel_samples, is_session, joint_readings, session_parts
 from truearm.workflows.requests import CorrectOptions, Section
-from truearm.workflows.session_observations import channel_samples, is_session, joint_readings
-from truearm.workflows.session_parts import session_parts
 from truearm.workflows.validate import Validation, validated
 
 PathLike = Annotated[str | os.PathLike[str], PATH]

@@ -17,9 +17,8 @@ from truearm.model.robot_file import RobotChoice
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.session_writer import SessionWriter, copy_head, read_anchor
 from truearm.session.session_file import open_session
-from truearm.workflows.session_copies import joint_names
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.recorded_session import observations_of_session, open_finished
+from truearm.workflows.session_files import joint_names
 
 NAMES = [f"joint{i}" for i in range(6)]
 SCRAMBLED = [2, 1, 0, 5, 3, 4]

@@ -8,8 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from tests.end_to_end.conftest import record_session, truearm
 
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm_sim.lab import STEP_NS
 from truearm_sim.simbox import Fault
 from truearm_wire.frame import frame

@@ -14,8 +14,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.plan_file import concatenate
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm_sim.latency import FROM_ROBOT
 from truearm_sim.line_device import Flaws, drive_errors
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig

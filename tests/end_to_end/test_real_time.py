@@ -14,8 +14,7 @@ from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import unpack
 from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm_sim.clocks import draw_clocks
 from truearm_sim.world import Setup, World, standard_plan
 

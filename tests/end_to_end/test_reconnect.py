@@ -8,8 +8,7 @@ from truearm.model.robot import builtin_robot
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 from truearm.workflows.inputs import Sources, read_sources
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import SETUP, open_finished, session_parts, with_parts
+from truearm.workflows.recorded_session import SETUP, observations_of_session, open_finished, session_parts, with_parts
 from truearm_sim.world import World, standard_plan
 
 CHAIN = builtin_robot("puma560").chain

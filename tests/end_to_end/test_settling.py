@@ -8,8 +8,7 @@ from tests.end_to_end.conftest import record_session
 
 from truearm.estimate.identify import identify
 from truearm.model.robot import builtin_robot
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm_sim.arm import Arm
 from truearm_sim.lab import HOST_AT_START_NS
 from truearm_sim.robot import STEP, quantised

@@ -12,8 +12,7 @@ from truearm.estimate.identify import identify
 from truearm.kinds.rig_file import read_rig
 from truearm.session.session_tables import tabulate
 from truearm.workflows.inputs import Sources, read_sources
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm_sim.robot import STEP as ENCODER_STEP
 from truearm_sim.thermal import STEEL, Thermal
 from truearm_sim.world import Setup, World, standard_plan, standard_rig

@@ -20,7 +20,7 @@ from truearm.report import calibration_page
 from truearm.report.figures import rows_by_kind
 from truearm.report.page import MOST, Certificate, Points, Recording, Scene, facts_of, sensor_facts, shortened
 from truearm.results import Estimate, Figures, HeldOut, NullDirection, PredictedError
-from truearm.workflows.certificates import ALWAYS_EXCLUDED
+from truearm.workflows.report import ALWAYS_EXCLUDED
 
 SIGMA = 0.084e-3  # m, the paper's residual
 HOSTILE = "<script>alert(1)</script>\"'&"

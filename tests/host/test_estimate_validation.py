@@ -24,7 +24,7 @@ from truearm.plan.line_plan import line_rows, plan_lines
 from truearm.plan.options import LineOptions
 from truearm.plan.shells import candidates
 from truearm.types import Plan, Point
-from truearm.workflows.calibration_report import write_page
+from truearm.workflows.identify import write_page
 
 NAME = "irb120"
 DRAWS = 100

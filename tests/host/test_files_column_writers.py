@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from truearm.workflows.column_writers import ArrowTable
+from truearm.workflows.session_files import ArrowTable
 
 floats = arrays(np.float64, 5, elements=st.floats(width=64))
 whole = arrays(np.int64, 5, elements=st.integers(-(2**63), 2**63 - 1))

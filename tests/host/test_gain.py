@@ -11,7 +11,7 @@ import truearm
 from truearm.estimate.mean_error import gain_of, mean_changes
 from truearm.estimate.prior import weak_prior
 from truearm.results import Gain, MeanChange
-from truearm.workflows.calibration_report import write_page
+from truearm.workflows.identify import write_page
 
 KUKA = FOLDER.parent / "mukca"
 ARM = ["--model", str(KUKA / "iiwa14.urdf"), "--tip", "ball_link", "--rig", str(KUKA / "rig.toml")]

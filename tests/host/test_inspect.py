@@ -14,8 +14,7 @@ from truearm.report.session_findings import REJECTED
 from truearm.types import Message
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.inspect import Contents
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.recorded_session import observations_of_session, open_finished
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
 

@@ -34,10 +34,9 @@ from truearm.report.result_findings import law_findings
 from truearm.strict_json import strict_json
 from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
-from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import correct_file
 from truearm.workflows.export import curve_table, exported
-from truearm.workflows.identify import IdentifyOptions, identified
+from truearm.workflows.identify import IdentifyOptions, identified, write_page
 from truearm.workflows.inputs import Observed
 from truearm.workflows.map import Section, map_files, map_findings, mapped
 from truearm.workflows.requests import CorrectFiles, CorrectOptions, MapFiles

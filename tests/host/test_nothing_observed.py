@@ -11,8 +11,7 @@ from truearm.cli.main import main
 from truearm.record.recover import recover
 from truearm.session.session_file import open_session
 from truearm.workflows import relabel
-from truearm.workflows.session_observations import nothing_observed
-from truearm.workflows.session_parts import SETUP, recorded_model
+from truearm.workflows.recorded_session import SETUP, nothing_observed, recorded_model
 
 __all__ = ["plan"]  # a fixture
 RELABEL, INSPECT = "truearm session relabel s.mcap", "truearm inspect s.mcap"

@@ -18,7 +18,7 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 from truearm.types import Plan
-from truearm.workflows.session_parts import earlier, first_stem, gone_on, is_part, session_parts, with_parts
+from truearm.workflows.recorded_session import earlier, first_stem, gone_on, is_part, session_parts, with_parts
 
 ROWS = [
     {"pose": k, "shell": "a", "bar": bar, "chuck": "c1", "sphere": "s1", "q": [0.5 * k, 0.0]}

@@ -9,10 +9,9 @@ import pytest
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import read_table
 from truearm.session.session_file import open_session
-from truearm.workflows.export_session import export_session_files
+from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm.workflows.requests import ExportSession
-from truearm.workflows.session_observations import observations_of_session
-from truearm.workflows.session_parts import open_finished
+from truearm.workflows.session_files import export_session_files
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
 # dwells and passes that gave observations, and readings of the robot, all of which count

@@ -309,8 +309,8 @@ def seats(
     rest_deg : DEG
         Range within which every joint remains during a rest; of a prismatic joint in mm.
     """
-    from truearm.workflows.seat_log import fill_seats
-    from truearm.workflows.session_copies import joint_names
+    from truearm.workflows.session_files import joint_names
+    from truearm.workflows.socket_project import fill_seats
 
     named = joints is not None or file_entry(source) is TABLE  # a table's columns are in order
     names = joint_names(joints, NO_ROBOT if named else robot)
@@ -335,7 +335,7 @@ def inspect(session: Path, *, details: bool = False, json: bool = False, allow_d
     from truearm.report.session_findings import session_findings
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import describe
-    from truearm.workflows.session_parts import session_parts
+    from truearm.workflows.recorded_session import session_parts
 
     first, *further = [describe(open_session(path, allow_damaged)) for path in session_parts(session)]
     if json:

@@ -129,8 +129,8 @@ if TYPE_CHECKING:
     from truearm.model.workspace import Branch
     from truearm.plan.measurement_limits import Region
     from truearm.types import Payload
-    from truearm.workflows.certificates import Issue
     from truearm.workflows.inputs import Sources
+    from truearm.workflows.report import Issue
 
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 TEXTS = {
@@ -146,8 +146,8 @@ TEXTS = {
 
 def issue_of(number: str, tolerance_mm: float | None) -> Issue:
     """Return whom a certificate is for, from two options and the project's file."""
-    from truearm.workflows.certificates import Issue
     from truearm.workflows.project_file import Project, project_of
+    from truearm.workflows.report import Issue
 
     project, _ = project_of(Path.cwd()) or (Project(""), None)
     return Issue(project, number, None if tolerance_mm is None else MM.to_si(tolerance_mm))
@@ -173,7 +173,7 @@ def rigs_of(texts: Sequence[str]) -> dict[str, Path]:
 def sources_of(inputs: Sequence[Path], rig: Sequence[str] = (), **options: Any) -> Sources:
     """Return what a command reads: sessions with their further parts, tables, and the rigs of ``--rig``."""
     from truearm.workflows.inputs import Sources
-    from truearm.workflows.session_parts import with_parts
+    from truearm.workflows.recorded_session import with_parts
 
     return Sources(tuple(with_parts(inputs)), rigs_of(rig), **options)
 

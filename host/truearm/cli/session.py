@@ -41,8 +41,8 @@ def recover(session: Path, *, out: Path | None = None, force: bool = False) -> A
         Print all damaged places, and what was saved and lost of each topic.
     """
     from truearm.report.tables import Table
-    from truearm.workflows.session_copies import recover_file, recovered_name, recovery_findings
-    from truearm.workflows.session_parts import further_parts
+    from truearm.workflows.recorded_session import further_parts, recovered_name
+    from truearm.workflows.session_files import recover_file, recovery_findings
 
     out = out or recovered_name(session)
     recovered = recover_file(session, out, force)
@@ -133,8 +133,8 @@ def add_joints(
     replace
         Replace the joint readings that the session has.
     """
-    from truearm.workflows.session_copies import AddJoints, add_joints_file, joint_names
-    from truearm.workflows.session_parts import further_parts
+    from truearm.workflows.recorded_session import further_parts
+    from truearm.workflows.session_files import AddJoints, add_joints_file, joint_names
 
     joint_list = joint_names(joints, robot)
     options = FileOptions(topic, joint_list, allow_damaged, columns)
@@ -165,8 +165,8 @@ def export_session(request: ExportSession) -> Answer:
     format
         Format of the tables.
     """
-    from truearm.workflows.export_session import export_session_files
-    from truearm.workflows.session_parts import further_parts
+    from truearm.workflows.recorded_session import further_parts
+    from truearm.workflows.session_files import export_session_files
 
     document = export_session_files(request)
     tables = document["tables"]

@@ -30,9 +30,14 @@ from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import Floats, Rig
 from truearm.units import MM, MRAD, MS, UM, S, Scale
+from truearm.workflows.recorded_session import (
+    observations_of_session,
+    open_finished,
+    reasons_text,
+    recorded_rig,
+    session_parts,
+)
 from truearm.workflows.requests import CharacterizeFiles
-from truearm.workflows.session_observations import observations_of_session, reasons_text, recorded_rig
-from truearm.workflows.session_parts import open_finished, session_parts
 
 Document = Mapping[str, Any]
 

@@ -22,14 +22,13 @@ from truearm.kinds.csv_cells import csv_text
 from truearm.progress import step
 from truearm.report.result_findings import verdict
 from truearm.text import counted
-from truearm.workflows.certificates import Issue
 from truearm.workflows.identify import DEFAULTS, IdentifyFiles, identify_files
 from truearm.workflows.inputs import Sources, hashed_inputs
 from truearm.workflows.project import new_file, result_document, results_of, robot_of, sessions_of
 from truearm.workflows.project_file import FILE, Project, read_project
-from truearm.workflows.report import report_files
+from truearm.workflows.recorded_session import with_parts
+from truearm.workflows.report import Issue, report_files
 from truearm.workflows.requests import FleetOptions
-from truearm.workflows.session_parts import with_parts
 
 LOCAL = "local"  # in place of the address of a Dask scheduler: a cluster on this machine
 RUNS = 2  # a worker that is killed ends a run

@@ -13,6 +13,7 @@ from truearm.arguments import Checked
 from truearm.checks.alternatives import Robots
 from truearm.checks.examination import MEAN, Examination, examined
 from truearm.checks.inputs import checked_inputs
+from truearm.disk import write_atomic
 from truearm.errors import Argument, InputError, ProblemError, noting
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
@@ -22,6 +23,7 @@ from truearm.estimate.identify import SolverOptions, judged
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, WithLaws, is_of_joint, with_joint_laws, without_outliers
 from truearm.estimate.law_choice import LawChoice
+from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.mean_error import with_gain
 from truearm.estimate.prediction import predicted_point_error, with_scatter_at_tool
 from truearm.estimate.prior import prior_named
@@ -32,6 +34,7 @@ from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.findings import entries
+from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import write_table
 from truearm.model.builtin import builtin_names
@@ -39,10 +42,10 @@ from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
+from truearm.report.page import Certificate, Recording
 from truearm.results import Effect, Estimate, Figures, Fold
-from truearm.types import Floats, Mask, Rigs
+from truearm.types import Floats, Mask, Rigs, rigs_by_name
 from truearm.workflows.calibration import Identification, calibration_of
-from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import Observed, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.requests import FitOptions
 from truearm.workflows.selection import (
@@ -425,3 +428,51 @@ def identified(
     result = msgspec.structs.replace(result, findings=tuple(entries(calibration.findings)))
     robot_fields = {field.name: getattr(calibration, field.name) for field in fields(calibration)} | {"stored": result}
     return Identification(**robot_fields, rig=rig, table=table, estimate=estimate, predicted=predicted)
+
+
+def write_page(
+    path: Path,
+    identification: Identification,
+    command: str = "",
+    recordings: Sequence[Recording] = (),
+    certificate: Certificate | None = None,
+) -> None:
+    """Write the page, completely or not at all; ``recordings`` are the sessions read. Raises InputError if it cannot be
+    written.
+    """
+    from truearm.report.calibration_page import render
+    from truearm.report.figures import rows_by_kind
+    from truearm.report.page import facts_of
+    from truearm.workflows.scene import calibration_scene
+
+    table, estimate = identification.table, identification.estimate
+    rows = rows_by_kind(estimate, table, longitudes(identification.chain, identification.rig, table, estimate))
+    facts = (*facts_of(recordings), *_facts(table))
+    scene = None if estimate.unusable else calibration_scene(identification)
+    page = render(identification.document, rows, _curves(identification), facts, command, certificate, scene)
+    write_atomic(path, page)
+
+
+def _curves(identification: Identification) -> tuple[SampledCurve, ...]:
+    laws = identification.estimate.joint_laws.kept if identification.estimate.joint_laws else ()
+    return sampled_curves(identification.chain, laws, identification.identified, identification.covariance)
+
+
+def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
+    """Return label and value of the facts about the rows of each kind."""
+    rows_of_kinds = ((kind, table.select(table.kind == name)) for name, kind in kinds().items())
+    return tuple(fact for kind, rows in rows_of_kinds if kind.facts and len(rows) for fact in kind.facts(rows))
+
+
+def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
+    """Return the longitude (n,) [rad] of the rows of each kind that has one, with the identified robot; else NaN.
+
+    For a sphere it is measured about its chuck.
+    """
+    out, params = np.full(len(table), np.nan), estimate.value[: estimate.n_robot_parameters]
+    for name, kind in kinds().items():
+        for rig_name, named_rig in rigs_by_name(rig).items():
+            rows = np.flatnonzero((table.kind == name) & (table.rig == rig_name))
+            if kind.longitude and rows.size:
+                out[rows] = kind.longitude(chain, params, named_rig, table.select(rows))
+    return out

@@ -33,8 +33,8 @@ from truearm.session.labels_file import labels_path, read_labels
 from truearm.text import one_line
 from truearm.types import DOUBTFUL, Rig, Rigs, SocketDistance, rigs_by_name
 from truearm.units import NS, UM, US
-from truearm.workflows import session_observations
-from truearm.workflows.session_parts import SETUP, first_stem, is_part, open_finished
+from truearm.workflows import recorded_session
+from truearm.workflows.recorded_session import SETUP, first_stem, is_part, open_finished
 
 if TYPE_CHECKING:
     from truearm.session.observations import SyncResult
@@ -108,7 +108,7 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     rigs = {name: read_rig(rig) if isinstance(rig, Path) else rig for name, rig in sources.rigs.items()}
     named_rigs = {name: with_noise(rig, noise) for name, rig in rigs.items()}
     sessions = {
-        path: open_finished(path, sources.allow_damaged) for path in inputs if session_observations.is_session(path)
+        path: open_finished(path, sources.allow_damaged) for path in inputs if recorded_session.is_session(path)
     }
     session_rig = {
         path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, named_rigs).items()
@@ -212,9 +212,9 @@ def _read_session(
 ) -> _Read:
     path, (name, rig) = session.path, assigned
     options: dict[str, Any] = {"may_be_empty": is_part(path, list(sources.inputs)), "line_points": sources.line_points}
-    with noting(session_observations.damage_findings(session)):
-        result = session_observations.observations_of_session(session, rig, **options)
-    table, findings = result.table, session_observations.reading_findings(session, result, rig)
+    with noting(recorded_session.damage_findings(session)):
+        result = recorded_session.observations_of_session(session, rig, **options)
+    table, findings = result.table, recorded_session.reading_findings(session, result, rig)
     if chain is not None and len(table):
         expected = len(chain.joints)
         if table.q.shape[1] not in (expected, len(chain.motors)):
@@ -248,7 +248,7 @@ def _read_session(
         "lines_rejected": line_reasons,
         "with_bar": result.with_bar,  # otherwise the dwells are only stops between lines
     }
-    nothing = session_observations.nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
+    nothing = recorded_session.nothing_observed(path, reasons, line_reasons, result.survey.marks.plan() is not None)
     return _Read(table.replace(rig=name), findings, count, recording_of(session, result, reasons), nothing)
 
 
@@ -347,7 +347,7 @@ def session_rigs(sessions: Mapping[Path, Session], named_rigs: Mapping[str, Rig]
         if name in named_rigs:
             assigned[path] = name, named_rigs[name]
             continue
-        rig = session_observations.attached_rig(session, path)
+        rig = recorded_session.attached_rig(session, path)
         if rig is None:
             raise RigError(
                 f"{path}: was recorded without a rig; give one as ", Argument("rig"), f" {name}=FILE" * bool(named_rigs)

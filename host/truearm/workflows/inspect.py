@@ -20,7 +20,7 @@ from truearm.strict_json import without_nan
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM
-from truearm.workflows.session_observations import paired, surveyed
+from truearm.workflows.recorded_session import paired, surveyed
 
 if TYPE_CHECKING:
     from truearm.session.dwells import Dwell

@@ -289,7 +289,7 @@ def _read_knowledge(files: PlanFiles) -> Knowledge:
     if not files.measured:
         return knowledge
     from truearm.workflows.inputs import Sources, read_sources  # slow to import, as it also reads sessions
-    from truearm.workflows.session_parts import with_parts
+    from truearm.workflows.recorded_session import with_parts
 
     rig, table, *_ = read_sources(Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain)
     if not isinstance(rig, Rig):

@@ -46,8 +46,7 @@ def sessions_of(folder: Path) -> list[Path]:
 
     Parts that continue a session are read with it and are not listed, nor are recovered copies.
     """
-    from truearm.workflows.session_copies import recovered_name
-    from truearm.workflows.session_parts import first_stem
+    from truearm.workflows.recorded_session import first_stem, recovered_name
 
     recordings = by_time(folder.glob("*.mcap"))
     return [
@@ -263,7 +262,7 @@ def _session(path: Path, project: Project) -> dict[str, Any]:
     """Return a recording: ``other_robot`` is the one for which it was recorded if that is not the project's."""
     from truearm.record.write_lock import is_held
     from truearm.session.session_file import has_footer
-    from truearm.workflows.session_parts import recorded_model
+    from truearm.workflows.recorded_session import recorded_model
 
     size = path.stat().st_size
     with path.open("rb") as file:

@@ -36,10 +36,18 @@ from truearm.text import counted
 from truearm.types import Move, Plan, Rig
 from truearm.units import NS
 from truearm.workflows.controller_model import as_hex, controller_state
+from truearm.workflows.recorded_session import (
+    SETUP,
+    SUFFIX,
+    Earlier,
+    attached_rig,
+    earlier,
+    gone_on,
+    observations_of_session,
+    open_finished,
+    recovered_name,
+)
 from truearm.workflows.requests import RecordOptions
-from truearm.workflows.session_copies import recovered_name
-from truearm.workflows.session_observations import attached_rig, observations_of_session
-from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on, open_finished
 from truearm_wire.config import OSRS
 
 # The converter's modulator runs at 125 MHz / 15 / 2; a sample takes osr of its periods.

@@ -25,8 +25,7 @@ from truearm.session.labels_file import labels_path, write_labels
 from truearm.session.observations import Survey, SyncResult, observations
 from truearm.session.plan_matching import Pairing, distances, match_plan, pairing_of
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
-from truearm.workflows.session_observations import recorded_rig, surveyed
-from truearm.workflows.session_parts import open_finished, session_parts
+from truearm.workflows.recorded_session import open_finished, recorded_rig, session_parts, surveyed
 
 
 @step("examining the session")

@@ -31,8 +31,8 @@ from truearm.text import counted
 from truearm.types import Floats, Plan, Rig
 from truearm.units import MM
 from truearm.workflows.record import nearest_osr, plan_rows
+from truearm.workflows.recorded_session import SETUP
 from truearm.workflows.requests import FAST_RATE_HZ, SimulateOptions, TruthOptions
-from truearm.workflows.session_parts import SETUP
 from truearm_sim import micropython, node
 from truearm_sim.arm import WORN, Arm
 from truearm_sim.chip import ChipBox

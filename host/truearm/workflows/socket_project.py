@@ -1,4 +1,7 @@
-"""The files of a project that measures with printed sockets (docs/tutorials/sockets.md)."""
+"""The files of a project that measures with printed sockets (docs/tutorials/sockets.md), and joints of seats from a log.
+
+The arm rests in the sockets in the order of the rows of the table of seats.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +9,28 @@ from collections.abc import Iterator
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from truearm.disk import read_text
-from truearm.errors import InputError, PlanError
+from truearm.disk import read_text, write_atomic
+from truearm.errors import Argument, InputError, PlanError
 from truearm.estimate.prior import weak_prior
 from truearm.findings import Finding, entries
-from truearm.kinds.csv_cells import csv_text, read_cells
+from truearm.kinds.csv_cells import CsvTable, csv_text, read_cells, read_header
 from truearm.kinds.rig_file import parse_rig
 from truearm.kinds.table import ObservationTable
-from truearm.kinds.table_file import MAX_BYTES
+from truearm.kinds.table_file import MAX_BYTES, PAGE, table_titles
 from truearm.model.robot import Robot
 from truearm.plan.forecast import Aim, Knowledge, forecast, planned_table
 from truearm.plan.socket_places import Site, SocketBlock, plans_of_sites
-from truearm.types import Rig
-from truearm.units import DEG, MM
+from truearm.progress import step
+from truearm.record.robots.sources import FileOptions, readings_of_file
+from truearm.session.joint_format import parse_lines
+from truearm.text import counted
+from truearm.types import Floats, Rig
+from truearm.units import DEG, MM, SUFFIXES
 from truearm.workflows.plan import forecast_document, knowledge_of
 from truearm.workflows.requests import SocketSeats
 
@@ -49,6 +56,7 @@ sockets = ["0", "1"]
 distance_mm = {distance:g}
 sigma_mm = 0.1
 """
+PER_REST = 20  # readings that are looked at in the shortest rest
 
 
 def plan_sockets(robot: Robot, request: SocketSeats, name: str) -> tuple[dict[str, str | bytes], dict[str, Any]]:
@@ -176,3 +184,69 @@ def _drawing(sites: list[Site], block: SocketBlock, table: float) -> Iterator[st
         yield f'</g><text y="{length / 2 + 18:g}" fill="#000" stroke="none" text-anchor="middle">'
         yield f"p{number}: x {x:g}, y {y:g} mm{box}</text></g>"
     yield "</svg>"
+
+
+class Rest(NamedTuple):
+    """A time in which no joint moves: begin and end [s] on the controller's clock, and joints (j,) [rad, m]."""
+
+    begin: float
+    end: float
+    q: Floats
+
+
+def rests(t: Floats, q: Floats, shortest: float, bounds: Floats) -> list[Rest]:
+    """Return the times of at least ``shortest`` [s] in which every joint stays within a range of its bound (j,).
+
+    ``t`` (n,) [s] ascends, ``q`` (n, j). Overlapping times are one rest.
+    """
+    first_rows = np.unique(np.floor(t * (PER_REST / shortest)), return_index=True)[1]
+    t, q = t[first_rows], q[first_rows]
+    end = np.searchsorted(t, t + shortest)  # of the window that begins at each reading, the last one in it
+    begin = np.flatnonzero(end < len(t))
+    windows = np.stack([begin, end[begin] + 1], axis=1).ravel()
+    padded = np.concatenate([q, q[-1:]])
+    span = (
+        np.maximum.reduceat(padded, windows)[::2] - np.minimum.reduceat(padded, windows)[::2] if begin.size else q[:0]
+    )
+    still = begin[(span <= bounds).all(axis=1)]
+    change = np.zeros(len(t), dtype=int)  # between a reading and the next: within a window or not
+    np.add.at(change, still, 1)
+    np.add.at(change, end[still], -1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.cumsum(change) > 0]).astype(int)))
+    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [Rest(float(t[i]), float(t[k]), np.median(q[i : k + 1], axis=0)) for i, k in pairs]
+
+
+@step("reading the log")
+def fill_seats(table: Path, source: Path, options: FileOptions, shortest: float, bound: float) -> Finding:
+    """Write the joints of each rest in a log into the next row of a table of seats that has none.
+
+    ``shortest`` [s], ``bound`` [rad]. Raises InputError if there are not as many rests as such rows; then nothing is
+    written.
+    """
+    header, rows = read_cells(read_text(table, MAX_BYTES, InputError), str(table))
+    joints = CsvTable(str(table), rows, read_header(header, table_titles(), str(table), PAGE)).numbered("q")
+    if not joints:
+        raise InputError("missing-column", place=str(table), column="q1_rad")
+    empty = [row.cells for row in rows if not all(row.cells[joint.position] for joint in joints)]
+    lines = [reading.line for reading in readings_of_file(source, options)]
+    log = parse_lines(lines, range(len(lines)))
+    if log.q.shape[1] != len(joints):
+        raise InputError("other-robot", place=source, joints=log.q.shape[1], expected=len(joints))
+    units = [SUFFIXES[joint.unit] for joint in joints]
+    bounds = np.array([bound if unit.si == "rad" else MM.to_si(DEG.of(bound)) for unit in units])
+    stops = rests(log.t, log.q, shortest, bounds)
+    if len(stops) != len(empty) or not stops:
+        times = [f"{stop.begin:.1f} to {stop.end:.1f} s" for stop in stops]
+        counts = f"{counted(len(stops), 'rest')}, and {table} has {counted(len(empty), 'row')} without joints"
+        advice = "rest in each socket once, and longer than elsewhere: choose "
+        end = f", or delete rows that were not measured. Rests: {', '.join(times) or 'none'}"
+        text = f"{source}: has {counts}; {advice}", Argument("rest_s"), " and ", Argument("rest_deg"), end
+        raise InputError(*text, rests=times, rows=len(empty))
+    for cells, stop in zip(empty, stops, strict=True):
+        for joint, unit, value in zip(joints, units, stop.q.tolist(), strict=True):
+            cells[joint.position] = f"{unit.of(value):.7g}"
+    write_atomic(table, csv_text([header, *(row.cells for row in rows)]))
+    durations = [stop.end - stop.begin for stop in stops]
+    values = {"place": str(table), "n": len(stops), "shortest": {"s": min(durations)}, "longest": {"s": max(durations)}}
+    return Finding("seats-filled", values)
