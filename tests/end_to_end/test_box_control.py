@@ -7,8 +7,7 @@ import pytest
 from tests.end_to_end.levels import LEVELS, lab_of
 
 from truearm.box.condition import FAIL, PASS, WARN, findings
-from truearm.box.control import MAX_WAITING, BoxControl
-from truearm.box.gauge_run import sample
+from truearm.box.control import MAX_WAITING, BoxControl, sample
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.findings import option
 from truearm.progress import listening

@@ -11,7 +11,7 @@ import pytest
 from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
 from tests.refusals import ended
 
-from truearm.box.gauge_run import motion
+from truearm.box.gauge import motion
 from truearm.workflows.inputs import sensors_of
 from truearm_sim import sensors
 from truearm_sim import stage as stages

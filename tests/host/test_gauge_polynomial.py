@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
-from truearm.box.gauge_calibration import check_references, chosen, fit, fits, head_of, possible_orders
+from truearm.box.gauge import check_references, chosen, fit, fits, head_of, possible_orders
 from truearm.errors import InputError
 from truearm.findings import Finding
 

@@ -529,22 +529,23 @@ def test_a_plan_says_how_well_curves_will_be_known_and_where_they_are_not_seen()
     known = Knowledge(ROBOT.chain, RIG, ROBOT.chain.params_nominal, ROBOT.free)
     away = table.select(np.abs(table.q[:, 0]) > 0.3)
     few, many = (curve_forecasts(known, rows) for rows in (away.select(np.arange(len(away)) < 100), away))
-    by_joint = [{curve.joint: curve for curve in curves} for curves in (few, many)]
-    assert all(by_joint[1][name].sigma < by_joint[0][name].sigma for name in ("joint1", "joint2", "joint3"))
-    assert any(low < -0.15 and high > 0.15 for low, high in by_joint[1]["joint1"].unseen)
-    assert not by_joint[1]["joint2"].unseen
+    by_joint = [{curve["joint"]: curve for curve in curves} for curves in (few, many)]
+    assert all(by_joint[1][f"joint{k}"]["sigma_mrad"] < by_joint[0][f"joint{k}"]["sigma_mrad"] for k in (1, 2, 3))
+    assert any(low < -8.6 and high > 8.6 for low, high in by_joint[1]["joint1"]["unseen_deg"])
+    assert not by_joint[1]["joint2"]["unseen_deg"]
     for curve in by_joint[1].values():
-        assert all(0.0 < part.upper - part.lower < np.radians(30.5) for part in curve.ranges)
-        assert min(p.sigma for p in curve.ranges) <= curve.sigma <= max(p.sigma for p in curve.ranges)
+        sigmas = [part["sigma_mrad"] for part in curve["ranges"]]
+        assert all(0.0 < part["upper_deg"] - part["lower_deg"] < 30.5 for part in curve["ranges"])
+        assert min(sigmas) <= curve["sigma_mrad"] <= max(sigmas)
     unseen = by_joint[1]["joint6"]  # the point lies on its axis
     law = knots(5, away.q[:, 5])
     basis, spectra, _ = law_priors(ROBOT.chain, [law], away.q)[law]
     inside = law.covers(law.first + law.spacing * np.arange(law.count))
     prior = basis[inside] ** 2 @ spectra[1:3].sum(axis=0)
-    assert unseen.sigma == pytest.approx(2e-4 * np.sqrt(prior.mean()), rel=0.05)
-    assert np.ptp(unseen.unseen) > 2.9
-    parts = by_joint[1]["joint1"].ranges
-    assert not any(part.lower < 0.2 and part.upper > -0.2 for part in parts)
+    assert unseen["sigma_mrad"] == pytest.approx(0.2 * np.sqrt(prior.mean()), rel=0.05)
+    assert np.ptp(unseen["unseen_deg"]) > 167.0
+    parts = by_joint[1]["joint1"]["ranges"]
+    assert not any(part["lower_deg"] < 11.4 and part["upper_deg"] > -11.4 for part in parts)
 
 
 @pytest.mark.parametrize("method", ["newton", "false-target", "joints"])

@@ -9,7 +9,7 @@ import pytest
 from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
 from report_bench import CERTIFICATE, full_page, make_page, render, view
 
-from truearm.box.gauge_calibration import Place, Places, calibrate, gauge_page
+from truearm.box.gauge import Place, Places, calibrate, gauge_page
 from truearm.box.requests import GaugeOptions
 from truearm.findings import Finding, entries
 from truearm.report import correction_page

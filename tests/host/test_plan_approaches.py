@@ -6,11 +6,11 @@ from approaches_bench import PAIRING, WANTED, planned
 from plan_bench import Course
 
 from truearm.errors import PlanError
+from truearm.model.chain import distance_jacobian
 from truearm.plan.approaches import (
     FARTHEST,
     LEAST,
     approach_directions,
-    length_derivatives,
     most_informative,
     plan_approaches,
 )
@@ -57,9 +57,10 @@ def test_every_pose_is_reached_alike_often_on_ways_that_keep_the_bar_on(route):
         assert counts.tolist() == [WANTED.rounds] * 8
         assert np.abs(near).min() >= LEAST
         assert (np.diff(at) == 1).sum() + 1 == WANTED.long_dwell / 2.0  # rows of the long rest
-    jac = np.abs(length_derivatives(site, planned_route.plan.q[:1], PAIRING))[0]
+    bar, mounted = PAIRING.of(site.rig)
+    ends = mounted.p_sphere, mounted.p_chuck
+    jac = np.abs(distance_jacobian(site.arm.chain, site.arm.params, planned_route.plan.q[:1], *ends))[0]
     step = np.abs(way.q[np.flatnonzero(way.pose < 0)[0]] - planned_route.plan.q[0])
-    bar, _ = PAIRING.of(site.rig)
     assert jac @ step <= free_travel(bar, site.limits)
 
 

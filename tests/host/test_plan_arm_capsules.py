@@ -99,7 +99,7 @@ def test_an_arm_is_inside_its_capsules(name, links_of, surface):
     known = bench.known(name)
     shapes = make_shapes(known.chain, known.params, Rig(), Sizes(), known.links)
     q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
-    ends, radius = link_ends(shapes, q), shapes.links.radius
+    ends, radius = link_ends(shapes, q)[0], shapes.links.radius
     for posture, capsules in zip(q, ends, strict=True):
         links = links_of(posture)
         for link, points in surface:
@@ -114,7 +114,7 @@ def test_an_arm_without_capsules_is_lines_through_its_joints(name):
     chain = builtin_robot(name).chain
     shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes())
     q = np.random.default_rng(2).uniform(-1.0, 1.0, (10, len(chain.joints)))
-    ends = link_ends(shapes, q)
+    ends, _ = link_ends(shapes, q)
     origins = [*joint_frames(chain, chain.params_nominal, q)[:, :, :3, 3].swapaxes(0, 1)]
     for p in (np.zeros((10, 3)), *origins, forward(chain, chain.params_nominal, q)[:, :3, 3]):
         apart = segment_distance(p[:, None], p[:, None], ends[:, :, 0], ends[:, :, 1])
@@ -131,7 +131,7 @@ def test_a_tables_arm_reaches_as_far_as_its_joints():
         assert set(plain.joint) <= set(links.joint)
         q = np.zeros((1, len(chain.joints)))
         shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes(), links)
-        ends = link_ends(shapes, q)[0]
+        ends = link_ends(shapes, q)[0][0]
         for p in joint_frames(chain, chain.params_nominal, q)[0, 1:, :3, 3]:
             apart = segment_distance(p, p, ends[:, 0], ends[:, 1]) - links.radius
             assert apart.min() < 0.1

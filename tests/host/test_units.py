@@ -80,7 +80,7 @@ PHYSICAL = {
     "session/streams.py": "µs and ns as in clock",
     "correct/error_map.py": "a share of a cell's width",
     "report/figures.py": "a share of the largest residual",
-    "box/gauge_calibration.py": "a share of the readings' span",
+    "box/gauge.py": "a share of the readings' span",
 }
 
 

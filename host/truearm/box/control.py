@@ -12,14 +12,18 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 import cbor2
+import numpy as np
+from numpy.typing import NDArray
 
 from truearm.errors import Argument, LinkError, ProtocolError, RefusedError
 from truearm.progress import step
 from truearm.record.frame_splitter import FrameCount, FrameSplitter
 from truearm.record.links import Clock, HostClock, Link, SerialLink
 from truearm.record.requests import NAMES, RETRIES, SECOND, NoAnswerError, Requests
-from truearm.session.box_ident import Ident, load_document
+from truearm.session.box_ident import Ident, Stream, load_document
 from truearm.session.frames import Data, data_of, named_elements
+from truearm.session.samples import counts_of
+from truearm.units import NS
 from truearm_wire import messages as wire
 from truearm_wire.cbor import CborError, encode
 from truearm_wire.messages import START, STOP
@@ -28,6 +32,9 @@ SELF_TEST_RETRY_NS = 4 * SECOND  # it takes measurements for about a second
 CONFIG_PAGES_MAX = 16  # accepted by a box
 MAX_WAITING = 20_000  # unread frames; the oldest are dropped
 _READ_S = 0.05
+SETTLE_S = 0.2  # for the converter's filter to fill and the operator's hand to leave the stage
+PATIENCE_S = 5.0
+FEWEST = 16  # fewest samples for a mean and its error
 STREAMING = 4  # error code, protocol/SPEC.md §4
 
 
@@ -203,6 +210,29 @@ def streaming(box: BoxControl) -> Iterator[None]:
             stack.pop_all()
             raise
         yield
+
+
+def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]:
+    """Return counts (n, channels) of a stream over the given number of seconds. The box is started and stopped.
+
+    Raises LinkError if too few samples arrive.
+    """
+    skip, n_needed = (max(1, round(NS.of(duration) / stream.period_ns)) for duration in (SETTLE_S, seconds))
+    n_needed, patience_s = max(n_needed, FEWEST), SETTLE_S + seconds + PATIENCE_S
+    blocks: list[NDArray[np.int32]] = []
+    n_samples, end_s = 0, box.now_s + patience_s
+    with streaming(box), step(f"sampling {stream.name} for {seconds:g} s") as advance:
+        while n_samples < n_needed and box.now_s < end_s:
+            for data in (sent.data for sent in box.sent(0.05)):
+                counts = counts_of(data, stream) if data and data.stream == stream.id and data.n0 >= skip else None
+                blocks += [] if counts is None else [counts]
+            n_samples = sum(map(len, blocks))
+            advance(min(n_samples / n_needed, 1.0))
+    for _ in box.sent(0.0):  # data in transit
+        continue
+    if n_samples < n_needed:
+        raise LinkError("link-lost", n=n_samples, needed=n_needed, stream=stream.name, seconds=patience_s)
+    return np.concatenate(blocks)[:n_needed]
 
 
 def one_line_of(ident: Ident) -> str:

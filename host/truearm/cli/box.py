@@ -291,23 +291,19 @@ def gauge(options: GaugeOptions) -> None:
         Stroke of the sensor; references farther apart are refused. Default: 100, and for the magnetostrictive sensor as
         far as its pulses reach.
     """
-    from truearm.box.gauge_run import gauge_channel
+    from truearm.box.gauge import gauge_channel
 
-    gauge_channel(choose_box(options.box, sys.stderr), options, _Terminal(), options.stop)
+    gauge_channel(choose_box(options.box, sys.stderr), options, click.echo, _answer)
 
 
-class _Terminal:
-    """The operator of ``gauge`` at standard input and output."""
-
-    say = staticmethod(click.echo)
-
-    def ask(self, prompt: str) -> str | None:
-        click.echo(prompt, nl=False)
-        try:
-            return input().strip()
-        except EOFError:
-            click.echo()
-            return None
+def _answer(prompt: str) -> str | None:
+    """Return what is typed at standard input, None at its end."""
+    click.echo(prompt, nl=False)
+    try:
+        return input().strip()
+    except EOFError:
+        click.echo()
+        return None
 
 
 @command(app)

@@ -36,7 +36,9 @@ SHELL = "characterize"
 def plan_approaches(site: Site, pairing: Pairing, options: ApproachOptions, pace: Pace) -> Route:
     """Return the route: via points with the bar on, poses, and repeated rows for long dwells. Raises PlanError."""
     q = candidates(site, [pairing], options.candidates, options.seed).q
-    derivatives = length_derivatives(site, q, pairing)
+    _, mounted = pairing.of(site.rig)
+    # ∂length/∂joints (n, j) of the bar
+    derivatives = distance_jacobian(site.arm.chain, site.arm.params, q, mounted.p_sphere, mounted.p_chuck)
     chosen = most_informative(derivatives, options.poses, lambda k: _away(site, q[k], derivatives[k], pairing))
     rng = np.random.default_rng([options.seed, 0xC4A2])
     long = max(1, round(options.long_dwell / pace.dwell))
@@ -79,12 +81,6 @@ def most_informative(derivatives: Floats, n: int, room: Callable[[int], Floats |
             chosen[best] = step
             total = total + squared[best]
     return chosen
-
-
-def length_derivatives(site: Site, q: Floats, pairing: Pairing) -> Floats:
-    """Return ∂length/∂joints (n, j) of the bar at joints q (n, j)."""
-    _, mounted = pairing.of(site.rig)
-    return distance_jacobian(site.arm.chain, site.arm.params, q, mounted.p_sphere, mounted.p_chuck)
 
 
 def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None:

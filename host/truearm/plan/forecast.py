@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branches import Arm, make_arm
 from truearm.results import Defaults, NullDirection
 from truearm.types import Floats, Plan, Rig, rms
-from truearm.units import UNITS
+from truearm.units import DEG, MRAD, UNITS
 
 TYPICAL = 2e-4  # rad, at each of the lengths
 TYPICAL_LENGTHS = (0.1, 0.2)  # rad
@@ -278,36 +278,18 @@ def with_rig_values(rig: Rig, values: Mapping[str, float]) -> Rig:
     return rig
 
 
-@dataclass(frozen=True)
-class CurveForecast:
-    """The forecast of a joint's error curve from planned rows.
+def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> list[dict[str, Any]]:
+    """Return a forecast for every joint that would have an error curve, as JSON.
 
-    ``ranges``: the readings [rad] that planned poses cover, in sections of at most SECTION, each with the RMS standard
-    deviation [rad] of the curve; ``sigma`` [rad]: the same over all of them; ``unseen`` [rad]: ranges of readings
-    between the lowest and the highest that the poses do not determine.
+    ``ranges``: the readings that planned poses cover, in sections of at most SECTION, each with the RMS standard
+    deviation of the curve; ``sigma_mrad``: the same over all of them; ``unseen_deg``: ranges of readings between the
+    lowest and the highest that the poses do not determine.
     """
-
-    joint: str
-    ranges: tuple[RangeSigma, ...]
-    sigma: float
-    unseen: tuple[tuple[float, float], ...]
-
-
-class RangeSigma(NamedTuple):
-    """A range of a joint's readings [rad], and the RMS standard deviation [rad] of its error curve there."""
-
-    lower: float
-    upper: float
-    sigma: float
-
-
-def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> tuple[CurveForecast, ...]:
-    """Return a forecast for every joint that would have an error curve."""
     table = all_rows(knowledge, planned)
     chain, n = _geometry(knowledge)
     laws, _ = candidates(chain, table.q, LawMode.CURVE, gravity_of(table, None))
     if not laws:
-        return ()
+        return []
     with_curves = with_laws(chain, laws)
     problem = build_problem(with_curves, knowledge.rig, table)
     added = len(with_curves.parameters) - n
@@ -323,24 +305,32 @@ def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> tuple[Cu
     free = np.flatnonzero(columns[: n + added])
     covariance[np.ix_(free, free)] = learned.covariance[: free.size, : free.size]
     curves = sampled_curves(with_curves, laws, np.zeros(n + added), covariance)
-    return tuple(_curve_forecast(curve, UNSEEN * math.sqrt(prior.sum())) for curve in curves)
+    return [_curve_forecast(curve, UNSEEN * math.sqrt(prior.sum())) for curve in curves]
 
 
-def _curve_forecast(curve: SampledCurve, unseen: float) -> CurveForecast:
+def _curve_forecast(curve: SampledCurve, unseen: float) -> dict[str, Any]:
     """Return the forecast of a curve with its standard deviations; those above ``unseen`` [rad] carry no information."""
-    readings, sigma = curve.readings, curve.sigma
-    between = (readings >= curve.intervals[0][0]) & (readings <= curve.intervals[-1][1])
-    sections = [
+    readings, sigma = DEG.of(curve.readings), MRAD.of(curve.sigma)
+    between = (curve.readings >= curve.intervals[0][0]) & (curve.readings <= curve.intervals[-1][1])
+    sections = (
         section
         for run in _runs(curve.covered)
-        for section in np.array_split(run, math.ceil(float(np.ptp(readings[run])) / SECTION) or 1)
-    ]
-    ranges = tuple(
-        RangeSigma(float(readings[rows[0]]), float(readings[rows[-1]]), rms(sigma[rows])) for rows in sections
+        for section in np.array_split(run, math.ceil(float(np.ptp(curve.readings[run])) / SECTION) or 1)
     )
-    gaps = [readings[run] for run in _runs(between & (~curve.covered | (sigma > unseen)))]
-    unseen_ranges = tuple((float(gap[0]), float(gap[-1])) for gap in gaps if np.ptp(gap) >= LEAST_GAP)
-    return CurveForecast(curve.joint, ranges, rms(sigma[curve.covered]), unseen_ranges)
+    gaps = _runs(between & (~curve.covered | (curve.sigma > unseen)))
+    return {
+        "joint": curve.joint,
+        "ranges": [
+            {
+                "lower_deg": float(readings[rows[0]]),
+                "upper_deg": float(readings[rows[-1]]),
+                "sigma_mrad": rms(sigma[rows]),
+            }
+            for rows in sections
+        ],
+        "sigma_mrad": rms(sigma[curve.covered]),
+        "unseen_deg": [readings[gap[[0, -1]]].tolist() for gap in gaps if np.ptp(curve.readings[gap]) >= LEAST_GAP],
+    }
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:

@@ -84,7 +84,7 @@ def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes, links: Cap
 def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool_]:
     """Return whether nothing touches at joints q (n, j), with the bar on as ``mounted`` or removed."""
     sizes, joint, radius = shapes.sizes, np.array(shapes.links.joint), shapes.links.radius
-    ends, pose = link_ends_and_pose(shapes, q)
+    ends, pose = link_ends(shapes, q)
     spheres = shapes.p_spheres @ pose[:, :3, :3].swapaxes(1, 2) + pose[:, None, :3, 3]
     moved = joint >= UPPER_ARM
     good = _is_above_table(ends[:, moved], radius[moved], sizes)
@@ -108,13 +108,8 @@ def _is_above_table(ends: Floats, radius: Floats, sizes: Sizes) -> NDArray[np.bo
     return np.asarray(((ends[..., 2] > sizes.table + radius[:, None]) | ~is_over).all(axis=(1, 2)))
 
 
-def link_ends(shapes: Shapes, q: Floats) -> Floats:
-    """Return the ends (n, m, 2, 3) of the arm's capsules in the base frame."""
-    return link_ends_and_pose(shapes, q)[0]
-
-
-def link_ends_and_pose(shapes: Shapes, q: Floats) -> tuple[Floats, Floats]:
-    """Return the result of ``link_ends``, and the pose (n, 4, 4) of the end."""
+def link_ends(shapes: Shapes, q: Floats) -> tuple[Floats, Floats]:
+    """Return the ends (n, m, 2, 3) of the arm's capsules in the base frame, and the pose (n, 4, 4) of the end."""
     frames, pose = joint_and_end_frames(shapes.chain, shapes.params, q)
     fixed = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
     carriers = np.concatenate([fixed, frames], axis=1)[:, shapes.links.joint]
@@ -155,7 +150,7 @@ def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carri
         return False
     if (segment_distance(shapes.p_feet, shapes.p_posts, start, end) < sizes.post + sizes.rod).any():
         return False
-    return not carried or bool(_wrist_is_clear(shapes, link_ends(shapes, q), start, end, sizes.rod).all())
+    return not carried or bool(_wrist_is_clear(shapes, link_ends(shapes, q)[0], start, end, sizes.rod).all())
 
 
 def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, radius: float) -> NDArray[np.bool_]:

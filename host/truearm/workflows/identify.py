@@ -45,21 +45,10 @@ from truearm.progress import step
 from truearm.report.page import Certificate, Recording
 from truearm.results import Effect, Estimate, Figures, Fold
 from truearm.types import Floats, Mask, Rigs, rigs_by_name
+from truearm.workflows import selection
 from truearm.workflows.calibration import Identification, calibration_of
 from truearm.workflows.inputs import Observed, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.requests import FitOptions
-from truearm.workflows.selection import (
-    all_held_out,
-    check_rows,
-    default_prior,
-    folds_of,
-    free_parameters,
-    held_out_rows,
-    matching,
-    parse_effect,
-    proposed_hold_out,
-    rows_named,
-)
 
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
@@ -188,7 +177,7 @@ def split_causes(
 ) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
     """Return the faults that the fit estimates as parameters, and those of which the examination gives the effect."""
     items = {cause.name for cause in build_problem(chain, rig, table).causes} if names else set()
-    effects = {name: Effect(name) if name in items else parse_effect(name) for name in names if name != MEAN}
+    effects = {name: Effect(name) if name in items else selection.parse_effect(name) for name in names if name != MEAN}
     fitted = {name: effect for name, effect in effects.items() if effect.what in items or effect.first or effect.last}
     return tuple(fitted.values()), tuple(name for name in names if name not in fitted)
 
@@ -327,20 +316,20 @@ def identified(
     ProblemError if observations and robot do not form a problem that can be solved.
     """
     chain, names, rig, table = robot.chain, robot.chain.parameter_names, observed.rigs, observed.table
-    folds = folds_of(table, hold_out, options.seed)
-    held = held_out_rows(table, () if folds else hold_out, options.seed, options.fit_only)
+    folds = selection.folds_of(table, hold_out, options.seed)
+    held = selection.held_out_rows(table, () if folds else hold_out, options.seed, options.fit_only)
     held_rows = np.zeros(len(table), dtype=bool) if held is None else held
     groups = () if isinstance(hold_out, np.ndarray) else tuple(hold_out)
     held_out_by = ("a mask",) * bool(held_rows.any()) if isinstance(hold_out, np.ndarray) else groups
-    requested = free_parameters(names, robot.free, options.free, options.freeze, options.also_free)
-    named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)
-    prior = Prior(options.prior or default_prior(robot, options.solver))
+    requested = selection.free_parameters(names, robot.free, options.free, options.freeze, options.also_free)
+    named = selection.matching(names, "free", options.free) | selection.matching(names, "also_free", options.also_free)
+    prior = Prior(options.prior or selection.default_prior(robot, options.solver))
     copied = copied_rows(chain, rig, table)
-    leave_out = np.any([copied >= 0, *(rows_named(text, table.source) for text in options.leave_out)], axis=0)
+    leave_out = np.any([copied >= 0, *(selection.rows_named(text, table.source) for text in options.leave_out)], axis=0)
     unused = leave_out | held_rows
     if unused.all():
         raise ProblemError("nothing-left", what="observations")
-    check_rows(chain, table, ~unused)
+    selection.check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
     effects, causes = split_causes(chain, rig, table, options.apply)
     where_needed = prior is Prior.WHERE_NEEDED
@@ -421,8 +410,8 @@ def identified(
         copies=copies_of(copied, table),
         made_with={"hold_out": groups, **vars(options)},
         held_out_by=(*held_out_by, *(f"all but {group}" for group in options.fit_only)),
-        all_held_out=all_held_out(table, held_rows),
-        hold_out_proposal=proposed_hold_out(table, copied >= 0),
+        all_held_out=selection.all_held_out(table, held_rows),
+        hold_out_proposal=selection.proposed_hold_out(table, copied >= 0),
     )
     calibration = calibration_of(result, robot, chain.name, "the identification")
     result = msgspec.structs.replace(result, findings=tuple(entries(calibration.findings)))

@@ -33,7 +33,7 @@ from truearm.progress import step
 from truearm.report.result_findings import held_frames
 from truearm.strict_json import number_or_null
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
-from truearm.units import DEG, MM, MRAD
+from truearm.units import MM
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.requests import PlanFiles
 from truearm.workflows.selection import all_held_out, default_prior, held_out_rows, proposed_hold_out
@@ -106,7 +106,7 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
         "check_poses": _visits(budget, options).check_poses,
         "minutes": route.minutes,
         **_pairings(knowledge, route.plan),
-        **({"curves": _curves(knowledge, route.plan)} if options.joint_laws else {}),
+        **({"curves": curve_forecasts(knowledge, bar_table(knowledge, route.plan))} if options.joint_laws else {}),
         "written": [str(path) for path in files.outputs],
     }
     return {**document, "findings": entries(forecast_findings(document, options.check_poses))}
@@ -135,22 +135,6 @@ def _hold_out(knowledge: Knowledge, table: ObservationTable, words: str, seed: i
         "rank": forecast(knowledge, table.select(~held)).rank,
         "all_held_out": all_held_out(table, held),
     }
-
-
-def _curves(knowledge: Knowledge, plan: Plan) -> list[dict[str, Any]]:
-    """Return what planned poses will show of error curves."""
-    return [
-        {
-            "joint": curve.joint,
-            "ranges": [
-                {"lower_deg": DEG.of(span.lower), "upper_deg": DEG.of(span.upper), "sigma_mrad": MRAD.of(span.sigma)}
-                for span in curve.ranges
-            ],
-            "sigma_mrad": MRAD.of(curve.sigma),
-            "unseen_deg": [list(map(DEG.of, span)) for span in curve.unseen],
-        }
-        for curve in curve_forecasts(knowledge, bar_table(knowledge, plan))
-    ]
 
 
 def _visits(budget: Budget, options: BallBarOptions) -> Visits:

@@ -22,21 +22,7 @@ from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot_file import load_robot
 from truearm.progress import step
-from truearm.report.page import (
-    Certificate,
-    Facts,
-    Recording,
-    certificate_section,
-    conditions,
-    html_page,
-    making,
-    recorded,
-    section,
-    sensor_facts,
-    shortened,
-    size,
-    table,
-)
+from truearm.report import page
 from truearm.report.validation_findings import error_tables
 from truearm.results import Figures, Gain
 from truearm.text import counted
@@ -62,7 +48,7 @@ ALWAYS_EXCLUDED = (
 
 
 @step("repeating the identification")
-def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) -> Certificate:
+def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) -> page.Certificate:
     """Repeat the fit as recorded in the result, check that the outcome is the same, write the page ``out``, and return its certificate.
 
     Of the given sessions and tables, only those used for the result are read; without any, they are looked for near the
@@ -133,11 +119,11 @@ def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: b
     return validation
 
 
-def validation_page(robot: str, certificate: Certificate, document: Mapping[str, Any], command: str) -> str:
+def validation_page(robot: str, certificate: page.Certificate, document: Mapping[str, Any], command: str) -> str:
     """Return the page of a validation as HTML text; ``document`` is what ``truearm validate --json`` prints."""
-    blocks = section("Errors", *map(table, error_tables(document))), making(command)
-    title, first = f"Validation of {robot}", certificate_section(certificate)
-    return html_page("truearm validate", title, "", blocks, findings_of(document), certificate=first)
+    blocks = page.section("Errors", *map(page.table, error_tables(document))), page.making(command)
+    title, first = f"Validation of {robot}", page.certificate_section(certificate)
+    return page.html_page("truearm validate", title, "", blocks, findings_of(document), certificate=first)
 
 
 def _options(path: Path, made_with: Mapping[str, Any] | None) -> tuple[IdentifyOptions, tuple[str, ...]]:
@@ -190,21 +176,23 @@ class Issue:
     tolerance: float | None = None
 
 
-def calibration_certificate(identification: Identification, issue: Issue, observed: Observed) -> Certificate:
+def calibration_certificate(identification: Identification, issue: Issue, observed: Observed) -> page.Certificate:
     """Return page one of the report on an identification."""
     e, tool, recordings = identification.estimate, _tool_error(identification), observed.recordings
     nominal = nominal_error(identification.chain, identification.rig, identification.table, e)
-    described = f"{size(rms(nominal), 'm')} RMS, {size(nominal.max(), 'm')} at most"
+    described = f"{page.size(rms(nominal), 'm')} RMS, {page.size(nominal.max(), 'm')} at most"
     unknown = f"not determined by {counted(len(nominal), 'row')}"  # which the placing of base and tool fits
     errors = (
         ("before: the nominal robot, base and tool placed", unknown if len(nominal) < FEWEST else described),
-        (f"after: expanded uncertainty (k = {COVERAGE:g})", "not determined" if tool is None else size(tool, "m")),
+        (f"after: expanded uncertainty (k = {COVERAGE:g})", "not determined" if tool is None else page.size(tool, "m")),
         ("measured region", _region(identification, identification.table)),
     )
     n_fitted = int(e.used.sum())
     rows = [("left out as outliers", str(e.n_observations - n_fitted))] * (e.n_observations > n_fitted)
     for si, rms_after in e.rms_after.items():
-        rows.append((f"{n_fitted} fitted, RMS", f"{size(e.rms_before[si], si)} before, {size(rms_after, si)} after"))
+        rows.append(
+            (f"{n_fitted} fitted, RMS", f"{page.size(e.rms_before[si], si)} before, {page.size(rms_after, si)} after")
+        )
     held_out, groups = (
         {} if e.held_out is None else e.held_out.figures,
         ", ".join(identification.document["held_out_by"]),
@@ -217,14 +205,14 @@ def calibration_certificate(identification: Identification, issue: Issue, observ
         judged = {"error": max(tool, twice), "uncertainty": tool, "twice": twice}
     gain = gain_of(e.mean_change) is Gain.NONE
     problem = "it is no better than the nominal robot" if gain else identification.stored.unusable_because
-    return Certificate(
+    return page.Certificate(
         f"Certificate of {'a simulated ' * identification.table.simulated}calibration",
         (
             ("What", _subject(identification, issue, recordings, "result")),
             ("Error of the tool in the measured region", errors),
             ("Observations and independent validation", tuple(rows)),
             ("Reference", _reference(identification.rig, identification.table, recordings)),
-            ("Conditions", conditions(recordings)),
+            ("Conditions", page.conditions(recordings)),
             ("Files read", _files(observed.inputs)),
         ),
         (
@@ -236,7 +224,7 @@ def calibration_certificate(identification: Identification, issue: Issue, observ
 
 def validation_certificate(
     calibration: Calibration, observed: Observed, validation: Validation, issue: Issue
-) -> Certificate:
+) -> page.Certificate:
     """Return page one of the report on a validation."""
     rig, table, _, recordings, _, inputs = observed
     errors: list[tuple[str, str]] = []
@@ -244,14 +232,14 @@ def validation_certificate(
         errors.append(("without the calibration", _figures_text(validation.before[si], si)))
         errors.append(("with it", _figures_text(figures, si)))
         if si in validation.expected:
-            errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
+            errors.append(("expected from noise and calibration", f"{page.size(validation.expected[si], si)} RMS"))
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
     reused, simulated = bool(validation.document["identified_from"]), bool(validation.document["simulated"])
     no_help = any(finding.code == "validation-no-help" for finding in validation.findings)
     problem = calibration.stored.unusable_because or ("it does not help here" if no_help else None)
     decision = _decision(issue.tolerance, {"error": error}, problem, reused, rows=validation.n)
     lengths = any(kinds()[kind].components.count("m") < 3 for kind in np.unique(table.kind).tolist())
-    return Certificate(
+    return page.Certificate(
         f"Certificate of {'a simulated ' * simulated}validation",
         (
             ("What", _subject(calibration, issue, recordings, "validated result")),
@@ -260,7 +248,7 @@ def validation_certificate(
                 (*errors, ("measured region", _region(calibration, table))),
             ),
             ("Reference", _reference(rig, table, recordings)),
-            ("Conditions", conditions(recordings)),
+            ("Conditions", page.conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
         (
@@ -272,7 +260,7 @@ def validation_certificate(
     )
 
 
-def _subject(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
+def _subject(calibration: Calibration, issue: Issue, recordings: Sequence[page.Recording], result: str) -> page.Facts:
     project, checksum = issue.project, str(calibration.document.get("checksum", ""))[:12]
     version = calibration.document.get("truearm_version", "of unknown version")
     payloads = calibration.stored.payloads
@@ -280,7 +268,7 @@ def _subject(calibration: Calibration, issue: Issue, recordings: Sequence[Record
     return (
         ("certificate", issue.number or NOT_GIVEN),
         ("issued", f"{datetime.now(UTC):%Y-%m-%d}"),
-        ("measured", recorded(recordings)),
+        ("measured", page.recorded(recordings)),
         ("customer", project.customer or NOT_GIVEN),
         ("arm", project.name or calibration.chain.name),
         ("model", calibration.chain.name),
@@ -331,10 +319,10 @@ def _region(calibration: Calibration, table: ObservationTable) -> str:
 
 
 def _figures_text(figures: Figures, si: str) -> str:
-    return f"{size(figures.rms, si)} RMS, {size(figures.max, si)} at most"
+    return f"{page.size(figures.rms, si)} RMS, {page.size(figures.max, si)} at most"
 
 
-def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[Recording]) -> Facts:
+def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[page.Recording]) -> page.Facts:
     """Return the sensors and the parts of the rig that the rows were measured against, with their declared uncertainties."""
     facts: list[tuple[str, str]] = []
     for rig in rigs_by_name(rigs).values():
@@ -347,7 +335,7 @@ def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[Recordi
         facts += [(f"tracker {t.name}", f"σ {MM.text(math.sqrt(np.trace(t.sensor_cov)), '.3f')}") for t in trackers]
         if (table.kind == "seat").any():
             facts.append(("seats in sockets", f"σ {MM.text(rig.seat_sigma)} along each axis"))
-    return shortened(tuple(facts)) + sensor_facts(recordings)
+    return page.shortened(tuple(facts)) + page.sensor_facts(recordings)
 
 
 def _length(length: float, sigma: float) -> str:
@@ -355,8 +343,8 @@ def _length(length: float, sigma: float) -> str:
     return f"{MM.of(length):.3f} {uncertainty}"
 
 
-def _files(inputs: Sequence[Input]) -> Facts:
-    return shortened(tuple((f"{file.role}: {file.name}", f"SHA-256 {file.sha256}") for file in inputs))
+def _files(inputs: Sequence[Input]) -> page.Facts:
+    return page.shortened(tuple((f"{file.role}: {file.name}", f"SHA-256 {file.sha256}") for file in inputs))
 
 
 def _excluded(identification: Identification) -> Iterator[Finding]:

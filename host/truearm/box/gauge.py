@@ -1,4 +1,4 @@
-"""A sensor's calibration from places of a reference: the places, the polynomial, and a page that says how good it is.
+"""Calibrate a sensor against reference readings and store the result in the box (``truearm box gauge``).
 
 At each of n places, the reference gives y_i and the sensor x_i, a mean over seconds with little noise. The fit uses
 Legendre polynomials over the readings' span, whose columns A = QR are nearly orthogonal.
@@ -13,12 +13,13 @@ the true order in 76 to 93 % of simulated cases; the least mean square alone fin
 (tests/host/test_gauge_polynomial.py).
 
 The places are written to a file after each, so a run that ends early (Ctrl-C, a cable, the computer) loses nothing: the
-next run continues from it. It holds no calibration, and nothing else reads it.
+next run continues from it. It holds no calibration, and nothing else reads it. A page says how good the result is.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -30,33 +31,30 @@ import msgspec
 import numpy as np
 from numpy.polynomial import Legendre, Polynomial, polynomial
 from numpy.polynomial.legendre import legvander
+from numpy.typing import NDArray
 
-from truearm.box.configuration import channel_names, check, mantissa_exponent, merged
+from truearm.box.condition import usable_channel
+from truearm.box.configuration import change_lines, channel_names, check, checked_config, mantissa_exponent, merged
+from truearm.box.control import FEWEST, BoxControl, conversation, sample
 from truearm.box.requests import GaugeOptions
-from truearm.disk import read_bytes, read_text, write_atomic
-from truearm.errors import Argument, ConfigError, InputError, TableError, WriteError
+from truearm.disk import check_writable, read_bytes, read_text, write_atomic
+from truearm.errors import Argument, ConfigError, InputError, TableError, TruearmError, WriteError
+from truearm.findings import Finding, option
 from truearm.kinds.csv_cells import read_csv
-from truearm.report import svg
-from truearm.report.page import (
-    Certificate,
-    Figure,
-    certificate_section,
-    figures,
-    html_page,
-    number,
-    paragraph,
-    pictures,
-    section,
-    table,
-)
+from truearm.report import page, svg
 from truearm.report.tables import Table
 from truearm.schema import raising
-from truearm.session.box_ident import Channel, Ident
-from truearm.session.sample_noise import MeanOfSamples
-from truearm.text import counted, one_line, page
+from truearm.session.box_ident import Channel, Ident, Stream
+from truearm.session.sample_noise import MeanOfSamples, mean_of, quick_noise
+from truearm.session.samples import railed, volts
+from truearm.text import counted, one_line
+from truearm.text import page as docs_page
 from truearm.types import Floats, rms
 from truearm.units import DEGC, INCH, MDEGC, MM, NS, UM, US, named, suffixes
 from truearm.version import VERSION
+
+Say = Callable[[str], None]  # shows a line to who sets the references
+Ask = Callable[[str], str | None]  # returns what is typed after a prompt, None at the end of the input
 
 MAX_ORDER = 7
 SPARE = 2  # more points than coefficients by this many, so that σ is meaningful
@@ -66,7 +64,6 @@ FEWEST_PLACES = 5
 MAX_REFERENCES = 1000
 MAX_BYTES = 1 << 20  # 1000 places of 200 bytes
 MAX_METRES = 10.0
-PAGE = page("Set up the sensor box")
 HEAD = "magnetostrictive"  # name of the channel, and of its entry in the configuration
 DIGITS = 12  # of a stored coefficient: over 0.1 m, their rounding is less than 1 nm at any order
 RESIDUAL_CAPTION = (
@@ -78,6 +75,10 @@ ORDER_TEXT = (
     "Error of predicting each place from a polynomial fitted to all others. truearm chooses the lowest order that is not "
     "significantly worse than the best."
 )
+STROKE = 0.1  # m, of a displacement transducer; the ball-bar's LVDT has 75 mm
+SOUND = 2850.0  # m/s, highest velocity in the rod of a magnetostrictive sensor
+STILL_MOVES = 6.0  # standard deviations of the mean of one piece
+PIECES = 8  # of the samples at a position
 
 
 @dataclass(frozen=True)
@@ -140,11 +141,12 @@ def chosen(candidates: Sequence[PolyFit]) -> PolyFit:
 def head_of(line: PolyFit) -> tuple[float, float]:
     """Return the µs per inch and the delay [ns] of a magnetostrictive head from a line y [m] over x [s].
 
-    Position = velocity · (time of flight + half a tick − delay) (SPEC §5). Raises ValueError for the wrong slope.
+    Position = velocity · (time of flight + half a tick − delay) (SPEC §5). Raises InputError for the wrong slope.
     """
     offset, velocity = line.poly
     if not velocity > 0.0:
-        raise ValueError("the position must rise with the time of flight; check the signs of the reference")
+        reason = "the position must rise with the time of flight; check the signs of the reference"
+        raise InputError(f"these places do not give a calibration: {reason}")
     return US.of(INCH.to_si(1.0) / velocity), NS.of(TICK_S / 2.0 - offset / velocity)
 
 
@@ -197,7 +199,7 @@ class Places:
         reading = f"{MM.text(place.reference, '.4f')} at {place.mean.value:.8g} {self.unit}"
         return f"  {one_line(f'{number}: {reading} ({noise})')}"
 
-    def write(self, path: Path, say: Callable[[str], None]) -> None:
+    def write(self, path: Path, say: Say) -> None:
         """Write all places; the run goes on without the file if the disk refuses it."""
         try:
             write_atomic(path, msgspec.json.encode(self, enc_hook=float).decode())  # some are NumPy's
@@ -226,7 +228,8 @@ class Places:
 def read_references(path: Path) -> list[float]:
     """Return the references [m] in a CSV file. Raises TableError."""
     titles = {named("reference", unit): ("reference", unit) for unit in UNITS}
-    table = read_csv(read_text(path, MAX_BYTES, TableError), str(path), titles, PAGE, r"(?!reference_).*")
+    text, advice = read_text(path, MAX_BYTES, TableError), docs_page("Set up the sensor box")
+    table = read_csv(text, str(path), titles, advice, r"(?!reference_).*")
     if len(table.rows) > MAX_REFERENCES:
         raise TableError(f"{path}: has {len(table.rows)} references; 1 to {MAX_REFERENCES} are possible")
     return list(map(float, table.numbers("reference", MAX_METRES, required=True)))
@@ -330,10 +333,7 @@ def with_calibration(config: dict[str, Any], calibration: Calibration, options: 
         **({} if options.uncertainty is None else {"reference_sigma": _pair(f"{0.5 * options.uncertainty:.3e}")}),
     }
     if calibration.channel.name == HEAD:
-        try:
-            us_per_inch, delay_ns = head_of(calibration.fit)
-        except ValueError as exc:
-            raise InputError(f"these places do not give a calibration: {exc}") from exc
+        us_per_inch, delay_ns = head_of(calibration.fit)
         head = {"us_per_inch": _pair(f"{us_per_inch:.9f}"), "delay_ns": round(delay_ns), **provenance}
         return check(merged(config, {HEAD: head}, {}))
     poly = [_pair(f"{coefficient:.{DIGITS - 1}e}") for coefficient in calibration.fit.poly]
@@ -383,20 +383,20 @@ def gauge_page(calibration: Calibration, options: GaugeOptions, ident: Ident, co
         curve.append(("velocity", f"{us_per_inch:.6f} µs per inch, delay {round(delay_ns)} ns"))
     groups = ("What", subject), ("Reference", reference), ("Uncertainty", uncertainty), ("The curve", tuple(curve))
     orders = [
-        (f"{tried.order}{' (chosen)' * (tried.order == fit.order)}", figures(UM.of(tried.press)))
+        (f"{tried.order}{' (chosen)' * (tried.order == fit.order)}", page.figures(UM.of(tried.press)))
         for tried in calibration.tried
     ]
     blocks = (
-        section("Residuals", pictures([_residuals(calibration)])),
-        section("The order", paragraph(ORDER_TEXT), table(Table(("order", "RMS [µm]"), orders))),
-        section("The places", table(_place_table(calibration))),
+        page.section("Residuals", page.pictures([_residuals(calibration)])),
+        page.section("The order", page.paragraph(ORDER_TEXT), page.table(Table(("order", "RMS [µm]"), orders))),
+        page.section("The places", page.table(_place_table(calibration))),
     )
     subtitle = f"{counted(n_places, 'place')}, {time.date().isoformat()}"
-    first = certificate_section(Certificate("Calibration of a sensor", groups))
-    return html_page("truearm", f"Calibration of {name}", subtitle, blocks, certificate=first)
+    first = page.certificate_section(page.Certificate("Calibration of a sensor", groups))
+    return page.html_page("truearm", f"Calibration of {name}", subtitle, blocks, certificate=first)
 
 
-def _residuals(calibration: Calibration) -> Figure:
+def _residuals(calibration: Calibration) -> page.Figure:
     x, y = MM.of(calibration.places.references), UM.of(calibration.fit.residual)
     two_sigma = UM.of(2.0 * calibration.fit.sigma)
     reach = 1.05 * max(float(np.abs(y).max()), two_sigma, 1e-3)
@@ -406,7 +406,7 @@ def _residuals(calibration: Calibration) -> Figure:
     ends = [plot.x.low, plot.x.high]
     for level, css, name in ((-two_sigma, "old line", "± 2 σ"), (two_sigma, "old line", ""), (0.0, "mean line", "")):
         plot.line(ends, [level, level], css, name)
-    tips = (f"{figures(a, 6)} mm: {number(b, 2, sign=True)} µm" for a, b in zip(x, y, strict=True))
+    tips = (f"{page.figures(a, 6)} mm: {page.number(b, 2, sign=True)} µm" for a, b in zip(x, y, strict=True))
     plot.scatter(x, y, "fit", tips, "places", 3.2)
     return plot.figure("Residual at each place", RESIDUAL_CAPTION)
 
@@ -418,11 +418,179 @@ def _place_table(calibration: Calibration) -> Table:
     rows = [
         (
             str(i),
-            number(MM.of(place.reference), 4),
-            figures(place.mean.value, 8),
-            figures(math.sqrt(place.mean.value_var), 2),
-            *(number(error, 3, sign=True) for error in row),
+            page.number(MM.of(place.reference), 4),
+            page.figures(place.mean.value, 8),
+            page.figures(math.sqrt(place.mean.value_var), 2),
+            *(page.number(error, 3, sign=True) for error in row),
         )
         for i, (place, row) in enumerate(zip(calibration.places.places, errors, strict=True), 1)
     ]
     return Table(("", "reference [mm]", f"reading {unit}", f"noise {unit}", *residuals), rows, "places")
+
+
+def gauge_channel(device: str, options: GaugeOptions, say: Say, ask: Ask) -> None:
+    """Sample a channel at references, fit its calibration, write the page and store it in the box if the operator agrees.
+
+    Raises InputError, TableError, LinkError.
+    """
+    listed = None if options.references is None else read_references(options.references)
+    name = re.sub(r"[^\w-]", "_", options.channel[:40])
+    out = options.out or Path(f"gauge-{name}.html")
+    places_file = out.with_suffix(".places.json")
+    # a page beside such a file belongs to the same run: it was interrupted at the last question
+    inputs = [] if options.references is None else [options.references]
+    check_writable(out, options.force or places_file.exists(), inputs=inputs, kind="page")
+    with conversation(device, stop=options.stop) as box:
+        ident, config = box.ident, checked_config(box)
+        stream, index = usable_channel(ident, options.channel, device)
+        channel = stream.channels[index]
+        places = _continued(places_file, ident, channel, say, ask)
+        run = GaugeRun(box, stream, channel, options, say, ask, places_file, places)
+        try:
+            run.measure(listed)
+            calibration = calibrate(places, channel, options.order)
+            for line in calibration.lines():
+                say(line)
+            new = with_calibration(config, calibration, options)
+            write_atomic(out, gauge_page(calibration, options, ident, new))
+            changes = change_lines(config, new)
+            for line in (f"{out}: residuals and orders", *changes):
+                say(line)
+            if not changes:
+                say("the box has this calibration already")
+            elif options.yes or (ask("store it in the box? [y/N] ") or "").lower() in ("y", "yes"):
+                box.put_config(new)
+                say(f"{device}: stored; the box uses it from now on")
+            else:
+                say(f"{device}: unchanged; {places_file} keeps the places")
+                return
+            places_file.unlink(missing_ok=True)
+        except (KeyboardInterrupt, TruearmError):
+            if places.places:
+                say(f"\n{places_file} keeps the places; the same command continues from them")
+            raise
+
+
+def _continued(places_file: Path, ident: Ident, channel: Channel, say: Say, ask: Ask) -> Places:
+    """Return the places of a run that ended early, if the operator wants them. Raises InputError."""
+    uid = one_line(str(ident.document.get("uid", ""))[:32])
+    empty = Places(uid, channel.name, channel.unit, channel.scale)
+    earlier = empty.earlier(places_file)
+    if earlier.places:
+        n_places = counted(len(earlier.places), "place")
+        say(f"{places_file}: {n_places} from a run whose calibration was not stored")
+        question = "continue from there? Only if sensor and reference stayed mounted as they were [Y/n] "
+        if (ask(question) or "y").lower() not in ("y", "yes"):
+            return empty
+        for number in range(1, len(earlier.places) + 1):
+            say(earlier.line(number))
+    return earlier
+
+
+@dataclass(frozen=True)
+class GaugeRun:
+    """The measurement of places, which are kept in ``places_file``."""
+
+    box: BoxControl
+    stream: Stream
+    channel: Channel
+    options: GaugeOptions
+    say: Say
+    ask: Ask
+    places_file: Path
+    places: Places
+
+    @property
+    def stroke(self) -> float:
+        """The greatest distance [m] of two references: the pulse of a rod returns in one period."""
+        usual = SOUND * NS.to_si(self.stream.period_ns) if self.channel.name == HEAD else STROKE
+        return usual if self.options.stroke is None else self.options.stroke
+
+    def measure(self, listed: Sequence[float] | None) -> None:
+        """Sample at references, listed [m] or typed, until the operator ends. Raises InputError, LinkError."""
+        if listed is None:
+            prompt = f"reference [{self.options.unit}] (empty line: done; undo: drop the last place): "
+            while len(self.places.places) < MAX_REFERENCES and (line := self._answer(prompt, "")) is not None:
+                self._typed(line)
+            return
+        measured = self.places.references.tolist()
+        check_references(listed, measured, self.stroke, f"{self.options.references}")
+        for number, reference in enumerate(listed, 1):
+            if reference in measured:
+                measured.remove(reference)
+                continue
+            prompt = f"{number} of {len(listed)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
+            while (line := self._answer(prompt, "q")) not in (None, "s") and not self._add(reference):
+                continue
+            if line is None:
+                return
+
+    def _answer(self, prompt: str, end: str) -> str | None:
+        """Return what the operator types. ``end`` returns None, but if the places are too few only when typed twice."""
+        line = self.ask(prompt)
+        if line == end and self.places.places and (few := self.places.too_few()):
+            again = f"{end or 'an empty line'} once more ends without a calibration"
+            self.say(f"  {few.text(option)}; {again}")
+            line = self.ask(prompt)
+        return None if line == end else line
+
+    def _typed(self, line: str) -> None:
+        """Drop the last place, or measure at the reference that was typed."""
+        say, unit, places = self.say, self.options.unit, self.places
+        if line == "undo":
+            say(f"  dropped place {len(places.places)}" if places.places else "  there is none")
+            del places.places[-1:]
+            places.write(self.places_file, say)
+            return
+        reference = parse_reference(line, UNITS[unit])
+        if reference is None:
+            wrong = {"place": "reference", "value": line[:40], "form": f"a reading in {unit}, such as 12.5"}
+            say(f"  {Finding('wrong-value', wrong).text(option)}")
+        elif error := beyond(reference, places.references.tolist(), self.stroke):
+            say(f"  {error.text(option)}; undo drops the last place")
+        else:
+            self._add(reference)
+
+    def _add(self, reference: float) -> bool:
+        """Sample at a reference [m] and add the place, unless the samples give no reading."""
+        channel, say = self.channel, self.say
+        counts = sample(self.box, self.stream, self.options.sample)[:, self.stream.channels.index(channel)]
+        readings = volts(counts[counts != 0] if channel.name == HEAD else counts, channel)
+        if problem := trouble(counts, channel, readings):
+            say(f"  {problem.text(option)}")
+            return False
+        temperature = self.box.heartbeat.get("temperature_mdegc")
+        degc = None if temperature is None else temperature / 1000
+        self.places.places.append(Place(reference, mean_of(readings), degc))
+        self.places.write(self.places_file, say)
+        say(self.places.line(len(self.places.places)))
+        return True
+
+
+def trouble(counts: NDArray[np.int32], channel: Channel, readings: Floats) -> Finding | None:
+    """Return why these counts (n,) and their readings are not those of a place; None if they are."""
+    if channel.name == HEAD:
+        missing = int(np.count_nonzero(counts == 0))
+        if 2 * missing > counts.size or counts.size - missing < FEWEST:
+            return Finding("place-rejected", {"missing": missing, "n": counts.size})
+    elif railed(counts).any():
+        return Finding("place-rejected", {"at_end": True})
+    moved = motion(readings)
+    return Finding("place-rejected", {"moved": f"{moved:+.2g} {channel.unit}"}) if moved else None
+
+
+def motion(samples: Floats) -> float:
+    """Return how far a sensor moved while its samples (n,) were taken; 0.0 if it did not move.
+
+    It moved if the means of eighths differ by more than one sample's noise, estimated from second differences that
+    motion does not affect, and by more than six standard deviations of such a mean. A creep below that is harmless.
+    """
+    pieces = np.array_split(samples, max(2, min(PIECES, samples.size // PIECES)))
+    means = np.array([piece.mean() for piece in pieces])
+    steps = np.abs(np.diff(samples))
+    if not steps.any():
+        return 0.0
+    noise = max(quick_noise(samples), float(steps[steps > 0.0].min()))
+    first, last = sorted((int(means.argmin()), int(means.argmax())))
+    moved = float(means[last] - means[first])
+    return moved if abs(moved) > noise * max(1.0, STILL_MOVES / math.sqrt(pieces[-1].size)) else 0.0
