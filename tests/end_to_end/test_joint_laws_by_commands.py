@@ -29,9 +29,8 @@ def true_poses(seed):
     truth = TruthOptions(
         gear_error=GEAR, gear_periods=tuple(np.radians(PERIODS)), masses=MASSES, stiffness_nm_rad=STIFFNESS
     )
-    robot = simulated_robot(RobotChoice("ur5e"), truth, seed)
-    chain = robot.robot.chain
-    return chain, lambda q: forward(chain, robot.params, q + sum(error.at(q) for error in robot.arm.errors))
+    robot, params, arm = simulated_robot(RobotChoice("ur5e"), truth, seed)
+    return robot.chain, lambda q: forward(robot.chain, params, q + sum(error.at(q) for error in arm.errors))
 
 
 def write_targets(path, poses, q):

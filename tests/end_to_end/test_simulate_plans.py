@@ -15,7 +15,7 @@ from truearm_sim.world import World, standard_plan, standard_rig
 
 
 def visited(options):
-    return visits(options, simulated_robot(options.robot, options.truth, options.seed))
+    return visits(options, simulated_robot(options.robot, options.truth, options.seed)[0])
 
 
 @pytest.fixture(scope="module")

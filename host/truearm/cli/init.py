@@ -140,7 +140,7 @@ def init(
     instrument = ask(instrument, measured_question, lambda text: instruments.check("measured_with", text), NOTHING)
     bounds = READERS["branch"].read("--branch", branch) if branch else None
     project = Project(model=model, base=base, tip=tip, branch=branch or "", address=address, box=box)
-    created = create(
+    written, plan, controller = create(
         folder, project, replace(rig, measured_with=instrument), sockets if with_sockets else None, bounds, minutes
     )
     step = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
@@ -148,9 +148,9 @@ def init(
     following = Finding(
         "init-next", {"block": None, **{name: str(path) for name, path in places.items()}, "step": step}
     )
-    own = [*filter(None, [created.controller]), following]
-    document = {"written": [str(path) for path in created.written], "plan": created.plan, "findings": entries(own)}
-    planned = findings_of(created.plan)[:1] if created.plan else []
+    own = [*filter(None, [controller]), following]
+    document = {"written": [str(path) for path in written], "plan": plan, "findings": entries(own)}
+    planned = findings_of(plan)[:1] if plan else []
     return Answer(document, findings=[*planned, *own], details_hint="")
 
 

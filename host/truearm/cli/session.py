@@ -134,12 +134,11 @@ def add_joints(
         Replace the joint readings that the session has.
     """
     from truearm.workflows.recorded_session import further_parts
-    from truearm.workflows.session_files import AddJoints, add_joints_file, joint_names
+    from truearm.workflows.session_files import add_joints_file, joint_names
 
     joint_list = joint_names(joints, robot)
     options = FileOptions(topic, joint_list, allow_damaged, columns)
-    files = AddJoints(session, source, out, options, zero, replace)
-    count = add_joints_file(files, force)
+    count = add_joints_file(session, source, out, options, zero=zero, replace=replace, force=force)
     times = "UTC" if zero is None else "from --zero-s"
     added = Finding("joints-added", {"place": str(out), "n": count, "utc": zero is None})
     stated = [added, *further_parts(session, out)]

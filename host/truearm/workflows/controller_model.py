@@ -7,7 +7,7 @@ d of hundreds of metres become rows with Hayati's β (``export.dh``), which can 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -150,29 +150,25 @@ def _drawn_rows(drawing: Robot) -> Floats:
     return np.array([[values.get(f"joint{i + 1}.{key}", 0.0) for i in range(JOINTS)] for key in keys])
 
 
-class ControllerState(NamedTuple):
-    """The checksums of a controller now, () if they were not read, and findings about them."""
+def controller_state(address: str | None, model: str) -> tuple[tuple[int, ...], tuple[Finding, ...]]:
+    """Return a controller's checksums if the robot file ``model`` has some, and whether they differ or were not read.
 
-    checksums: tuple[int, ...] = ()
-    findings: tuple[Finding, ...] = ()
-
-
-def controller_state(address: str | None, model: str) -> ControllerState:
-    """Return a controller's checksums if the robot file ``model`` has some, and whether they differ or were not read."""
+    The checksums are () if they were not read.
+    """
     if not _is_live(address or "") or not Path(model).is_file() or is_urdf(model):
-        return ControllerState()
+        return (), ()
     robot = load_robot(model)
     stored = robot.checksums
     if not stored:
-        return ControllerState()
+        return (), ()
     try:
         checksums = _kinematics(address or "", robot).checksums
     except (LinkError, RobotError) as exc:
         unread = Finding("controller-unread", {"model": model, "reason": str(exc), "stored": True})
-        return ControllerState(findings=(unread,))
+        return (), (unread,)
     changed = [str(i + 1) for i in range(JOINTS) if checksums[i] != stored[i]]
     differs = Finding("controller-changed", {"place": address, "model": model, "joints": changed})
-    return ControllerState(checksums, (differs,) * bool(changed))
+    return checksums, (differs,) * bool(changed)
 
 
 def controller_choice(model: str, address: str, folder: Path) -> tuple[RobotChoice | None, Finding | None]:

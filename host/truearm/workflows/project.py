@@ -11,7 +11,7 @@ from datetime import datetime
 from importlib.resources import files
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from truearm.disk import working_folder, write_atomic
 from truearm.errors import InputError, TruearmError
@@ -28,17 +28,6 @@ if TYPE_CHECKING:
     from truearm.workflows.requests import FirstRig, SocketSeats
 
 GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
-
-
-class Created(NamedTuple):
-    """Files written by ``create``, and the forecast of the first plan (``plan_ball_bar_files``), None if none was made.
-
-    ``controller``: what was read of the robot's controller, None if the address is not that of one.
-    """
-
-    written: tuple[Path, ...]
-    plan: dict[str, Any] | None
-    controller: Finding | None = None
 
 
 def sessions_of(folder: Path) -> list[Path]:
@@ -113,8 +102,11 @@ def unused(path: Path) -> Path:
 @step("making the project")
 def create(
     folder: Path, project: Project, first: FirstRig, sockets: SocketSeats | None, branch: Branch | None, minutes: float
-) -> Created:
+) -> tuple[list[Path], dict[str, Any] | None, Finding | None]:
     """Write truearm.toml, rig.toml and a first plan into a folder, or with ``sockets`` what they are made and noted with.
+
+    Returns the files, the forecast of the first plan, None if none was made, and what was read of the robot's controller,
+    None if the address is not that of one.
 
     ``branch``: of the robot, None for that of its file. ``minutes``: of the first plan, 0 for none.
     Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
@@ -166,7 +158,7 @@ def create(
         _move(new, written)
         for path in folders:
             path.mkdir(parents=True, exist_ok=True)
-    return Created(tuple(written), plan, controller)
+    return written, plan, controller
 
 
 @contextmanager

@@ -89,12 +89,12 @@ def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], 
     for path in work.earlier_session.damaged if work.earlier_session else ():
         say(Finding("damaged-part", {"place": str(path), "copy": str(recovered_name(path))}).text(option))
     device = choose_box(request.box, output)
-    controller = controller_state(work.robot, request.project_model)
-    for finding in controller.findings:
+    checksums, findings = controller_state(work.robot, request.project_model)
+    for finding in findings:
         say(finding.text(option))
-    if controller.checksums:
-        work = replace(work, setup={**work.setup, "controller_checksums": " ".join(as_hex(controller.checksums))})
-    return replace(_record(device, work, request, output), findings=controller.findings)
+    if checksums:
+        work = replace(work, setup={**work.setup, "controller_checksums": " ".join(as_hex(checksums))})
+    return replace(_record(device, work, request, output), findings=findings)
 
 
 def unsettled(dwells: RecordedDwells | None, session: Path) -> list[Finding]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -76,44 +76,37 @@ def recovery_findings(recovered: Recovered) -> list[Finding]:
     return [saved, *(damage_finding(vars(damage)) for damage in recovered.damage)]
 
 
-@dataclass(frozen=True)
-class AddJoints:
-    """What to add to a session, and how.
+@step("adding the readings")
+def add_joints_file(
+    session: Path,
+    source: Path,
+    out: Path,
+    options: FileOptions,
+    *,
+    zero: float | None = None,
+    replace: bool = False,
+    force: bool = False,
+) -> int:
+    """Write a session with the readings of a file, completely or not at all; return their number.
 
     ``zero`` [s]: when the controller's time was 0, after the session's begin; None: its time is UTC. ``replace``: leave
-    out the session's own readings.
+    out the session's own readings. Raises InputError, SessionError.
     """
-
-    session: Path
-    source: Path
-    out: Path
-    options: FileOptions
-    zero: float | None = None
-    replace: bool = False
-
-
-@step("adding the readings")
-def add_joints_file(request: AddJoints, force: bool = False) -> int:
-    """Write the session with the readings, completely or not at all; return their number. Raises InputError,
-    SessionError.
-    """
-    inputs = [request.session, request.source]
-    check_writable(request.out, force, inputs=inputs, kind="session")
-    zero = request.zero
+    check_writable(out, force, inputs=[session, source], kind="session")
     if zero is not None and not abs(zero) < 1e9:
         raise InputError(Argument("zero"), f" {zero:g} is not a time; give seconds")
-    opened = open_finished(request.session, request.options.allow_damaged)
-    readings = readings_of_file(request.source, request.options)
+    opened = open_finished(session, options.allow_damaged)
+    readings = readings_of_file(source, options)
     provenance = {
-        "source": request.source.name,
-        "session": request.session.name,
-        "session_sha256": sha256(request.session),
+        "source": source.name,
+        "session": session.name,
+        "session_sha256": sha256(session),
         "time": "utc" if zero is None else f"0 at {zero!r} s of the session",
     }
     if opened.damage or opened.truncated:
         provenance["damaged"] = "the damaged part of the session is left out"
-    with replacing(request.out) as new:
-        return add_readings(opened, readings, new, zero, provenance, request.replace)
+    with replacing(out) as new:
+        return add_readings(opened, readings, new, zero, provenance, replace)
 
 
 def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:

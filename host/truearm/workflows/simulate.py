@@ -7,7 +7,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -197,12 +197,12 @@ def _lab(
     """Return the world, the hardware behind its box, and the box; writes plan, rig and truth. Raises InputError."""
     folder, seed, truth = options.out, options.seed, options.truth
     faults = [parse_fault(text) for text in options.fault]
-    simulated = simulated_robot(options.robot, truth, seed, options.branch)
-    joints = len(simulated.robot.chain.joints)
+    robot, params, arm = simulated_robot(options.robot, truth, seed, options.branch)
+    joints = len(robot.chain.joints)
     if options.protocol == "rtde" and joints != RTDE_JOINTS:
-        text = f" rtde: a controller of {RTDE_JOINTS} joints, {simulated.robot.chain.name} has {joints}"
+        text = f" rtde: a controller of {RTDE_JOINTS} joints, {robot.chain.name} has {joints}"
         raise InputError(Argument("protocol"), text)
-    plan, rig = visits(options, simulated)
+    plan, rig = visits(options, robot)
     thermal = None if options.warming is None else Thermal(drift=options.warming, gain_drift=LVDT_DRIFT)
     if thermal is not None and options.rig is None:
         rig = thermal.declared(rig)
@@ -211,12 +211,12 @@ def _lab(
         check_writable(options.truth_out, options.force, inputs=read, kind="truth")
     robot_input = None if options.trigger is None else RobotInput(options.trigger)
     setup = Setup(robot_rate=rate, robot_delay_s=options.robot_delay, robot_input=robot_input, thermal=thermal)
-    world = World(seed, plan, rig, simulated.params, simulated.arm, simulated.robot, setup)
+    world = World(seed, plan, rig, params, arm, robot, setup)
     own_folder(folder, MARK)
     machine = hardware(options.level, say, fast=fast)
     write_setup(folder, world)
     if options.truth_out is not None:
-        document = truth_document(world, simulated.robot, truth, seed)
+        document = truth_document(world, robot, truth, seed)
         write_atomic(options.truth_out, json.dumps(document, indent=1) + "\n")
     return world, machine, SimulatedBox(world, power_on=machine.power_on, faults=faults, seed=seed)
 
@@ -231,12 +231,12 @@ def _visits_of(world: World) -> str:
 
 
 @step("preparing the poses")
-def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, Rig]:
+def visits(options: SimulateOptions, robot: Robot) -> tuple[Plan, Rig]:
     """Return what the robot visits and its surroundings, from files if given, else drawn at random.
 
     Raises InputError, and PlanError if the plan is for another robot, or if the robot has no branch to draw poses from.
     """
-    lines, plan_file, rig_file, robot = options.lines, options.plan, options.rig, simulated.robot
+    lines, plan_file, rig_file = options.lines, options.plan, options.rig
     if plan_file is None and rig_file is not None:
         raise InputError("needs-option", place=Argument("rig"), needed=Argument("plan"))
     if lines and plan_file is not None:
@@ -285,17 +285,10 @@ def parse_fault(text: str) -> Fault:
 # the robot and its hidden truth
 
 
-@dataclass(frozen=True)
-class SimulatedRobot:
-    """A model, its true parameters (p,) and its arm."""
-
-    robot: Robot
-    params: Floats
-    arm: Arm
-
-
-def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: Branch | None = None) -> SimulatedRobot:
-    """Return the robot, in the given branch, with its truth drawn from its own seed or this one.
+def simulated_robot(
+    model: RobotChoice, truth: TruthOptions, seed: int, branch: Branch | None = None
+) -> tuple[Robot, Floats, Arm]:
+    """Return the robot, in the given branch, its true parameters (p,) and its arm, drawn from the truth's own seed or this one.
 
     Raises InputError, and RobotError as ``load_robot`` does.
     """
@@ -313,7 +306,7 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
             form, masses = f"{len(chain.joints)} masses, one per joint", ",".join(f"{mass:g}" for mass in truth.masses)
             raise InputError("wrong-value", place=Argument("masses_kg"), value=masses, form=form)
         errors.append(Sag(chain, params, np.array(truth.masses), truth.stiffness_nm_rad))
-    return SimulatedRobot(robot, params, replace(WORN if truth.worn else Arm(), errors=tuple(errors)))
+    return robot, params, replace(WORN if truth.worn else Arm(), errors=tuple(errors))
 
 
 def truth_document(world: World, robot: Robot, truth: TruthOptions, seed: int) -> dict[str, Any]:
