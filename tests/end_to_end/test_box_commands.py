@@ -69,11 +69,7 @@ def test_configuration_by_file_and_by_value(device, tmp_path, printed):
     assert printed("box", "config", "set", path, "--box", device).splitlines()[-1] == f"{device}: nothing changes"
     assert printed(
         "box", "config", "set", "osr=2048", "channel.lvdt.gain=2", "--box", device, "--dry-run"
-    ).splitlines() == [
-        "osr: 4096 → 2048",
-        "channel.lvdt.gain: (none) → 2",
-        f"{device}: unchanged (--dry-run)",
-    ]
+    ).splitlines() == ["osr: 4096 → 2048", "channel.lvdt.gain: (none) → 2", f"{device}: unchanged (--dry-run)"]
     path.write_text(path.read_text().replace("osr = 4096", "osr = 2048"))
     assert (
         printed("box", "config", "set", path, "channel.lvdt.gain=2", "--box", device)

@@ -67,7 +67,7 @@ def good(files: Path) -> list[object]:
 
 @pytest.fixture(scope="session")
 def good_text(files: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the result file of that identification, which is also its JSON output (test_cli_identify_output)."""
+    """Return the result file of that identification, which is also its JSON output (test_cli_identify)."""
     out = tmp_path_factory.mktemp("good") / "result.json"
     arguments = ["identify", files / "poses.csv", "--model", "puma560", "--rig", files / "rig.toml", "--out", out]
     with redirect_stdout(io.StringIO()):

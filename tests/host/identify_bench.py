@@ -52,7 +52,7 @@ def identified(run: Run, folder: Path, table: ObservationTable, rig: Rig, *more:
     write_table(folder / "t.csv", table, ("rad",) * 6)
     write_rig(folder / "rig.toml", rig)
     arguments = ["identify", folder / "t.csv", "--model", "puma560", "--rig", folder / "rig.toml", *more]
-    outcome = run(*arguments, "--out", folder / "r.json", "--force")  # what --json prints: test_cli_identify_output
+    outcome = run(*arguments, "--out", folder / "r.json", "--force")  # what --json prints: test_cli_identify
     result = json.loads((folder / "r.json").read_text(encoding="utf-8"))
     assert outcome.code == (0 if result["usable"] else 3)
     return result, outcome.out

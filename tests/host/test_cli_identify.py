@@ -3,20 +3,28 @@
 import json
 import re
 import shlex
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import ulb_bench
-from command_line import Run, told
-from identify_bench import MUKCA, exact_lengths, identified
+from command_line import Outcome, Run, process, told
+from identify_bench import MUKCA, ROOT, SIGMA, exact_lengths, identified
+from result_schema import BY_UNIT, FIELDS, check_schema
 from tests.host.findings_bench import stated
 from tests.refusals import shown
 
+from truearm.estimate.result_file import ParameterEstimate
+from truearm.estimate.solvers import SOLVERS, Loss
+from truearm.findings import option
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import write_table
+from truearm.model.builtin import builtin_names
 from truearm.types import Rig
 
 
@@ -166,3 +174,207 @@ def test_an_error_of_the_tool_that_is_not_determined_is_no_number(good_text: str
     document = json.loads(good_text)
     assert "tool-error" in stated(document)
     assert "tool-error-unpredictable" in stated({**document, "predicted_error": None})
+
+
+# bad input, and --help
+
+BAD_ARGUMENTS = {
+    "no such option": (["--nonsense"], "--nonsense"),
+    "not a number": (["--max-iterations", "many"], "--max-iterations"),
+    "below its range": (["--max-iterations", "0"], "--max-iterations"),
+    "no such prior": (["--prior", "strong"], "'--prior': 'strong'"),
+    "no such solver": (["--solver", "magic"], "renders-1991"),
+    "no such loss": (["--loss", "l1"], "cauchy"),
+    "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "--loss huber"),
+    "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
+    "no such robot": (["--model", "puma561"], "did you mean puma560?"),
+    "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
+    "no such folder": (["--out", "/none/result.json"], "missing-file"),
+    "line breaks in a name": (["--out", "a\nb\x1b[31m/r.json"], "a b\\x1b[31m"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_ARGUMENTS.values(), ids=BAD_ARGUMENTS.keys())
+def test_bad_arguments(run: Run, good: list[object], arguments: list[str], message: str) -> None:
+    told(run(*good, *arguments), message)
+
+
+def test_a_rig_that_is_not_there_and_bad_input_as_the_shell_sees_it(run, good, tmp_path):
+    told(run(*good[:4], "--rig", "none.toml"), "none.toml: no such file")
+    told(run(*good[:4], "--rig", "mon=none.toml"), "none.toml: no such file")
+    told(run(*good[:4], "--rig", "a\nb\x1b[31m.toml"), "a b\\x1b[31m.toml")
+    told(process("identify"), "Missing argument")
+    (tmp_path / "t.csv").write_bytes(b"\x89MCAP0\r\n\0\0")
+    told(process("identify", tmp_path / "t.csv", *good[2:]), "its name must end in .mcap")
+
+
+def test_version_help_and_no_command(run):
+    assert run().code == 0
+    assert run("--version").out.startswith("truearm ")
+    words = set(re.findall(r"[\w-]+", run("identify", "--help").out))
+    assert {*builtin_names(), *SOLVERS, *Loss} <= words
+    code = "import sys, truearm.cli.main as cli; cli.main(['--help']); print({'numpy', 'scipy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_interruption_is_one_line_and_130(run: Run, good: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    def interrupted_while_importing(*_: object, **__: object) -> None:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    def faulty(*_: object, **__: object) -> None:
+        raise ImportError("no such module")
+
+    for raises in (interrupted, interrupted_while_importing):
+        monkeypatch.setattr("truearm.workflows.identify.identified", raises)
+        assert run(*good) == Outcome(130, "", "truearm: interrupted\n")
+    monkeypatch.setattr("truearm.workflows.identify.identified", faulty)
+    with pytest.raises(ImportError, match="no such module"):
+        run(*good)
+
+
+def test_a_reader_that_leaves_is_no_traceback(good: list[object]) -> None:
+    command = [sys.executable, "-m", "truearm", *map(str, good), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stderr is not None
+        child.stdout.close()
+        assert child.stderr.read() == b""
+    assert child.returncode == 1
+
+
+# the files: result, schema, report; and files that it does not overwrite
+
+
+def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
+    run: Run, good: list[object], good_text: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "result.json"
+    outcome = run(*good, "--free", "*", "--hold-out", "0.2", "--json", "--out", out)
+    assert out.read_text() == outcome.out
+    result = json.loads(outcome.out, parse_constant=pytest.fail)
+    check_schema(result)
+    check_schema(json.loads(good_text))
+    assert [(i["role"], i["name"], len(i["sha256"])) for i in result["inputs"]] == [
+        ("observations", "poses.csv", 64),
+        ("rig", "rig.toml", 64),
+    ]
+    assert str(tmp_path) not in outcome.out
+
+
+def test_every_field_is_documented() -> None:
+    text = (ROOT / "docs" / "reference" / "result-format.md").read_text()
+    nested = (
+        "places role sha256 base_frame end_frame joint_units fitted weights upper units source distance weight o1 o4 at"
+    )
+    figures = {f"{figure}_mm" for figure in (*BY_UNIT, "rms_held_out", "mean", "max", "n")}
+    for field in {*FIELDS, *ParameterEstimate.__struct_fields__, *nested.split(), *figures}:
+        assert f"`{field}`" in text, field
+
+
+def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "rows.csv"
+    table.write_bytes((MUKCA / "panda_3.csv").read_bytes())
+    before = table.read_bytes()
+    good = ["identify", table, "--model", MUKCA / "panda.urdf", "--tip", "ball_link", "--rig", MUKCA / "rig.toml"]
+    mine = tmp_path / "mine.json"
+    mine.write_text('{"my": "notes"}')
+    for more, text in (
+        (["--out", table], "given-twice"),
+        (["--table-out", table], "given-twice"),
+        (["--out", tmp_path / "x", "--table-out", tmp_path / "x"], "given-twice"),
+        (["--out", mine], "file-exists"),
+        ([table], "given-twice"),
+    ):
+        outcome = run(*map(str, [*good, *more]))
+        told(outcome, text)
+    assert table.read_bytes() == before
+    assert mine.read_text() == '{"my": "notes"}'
+
+
+def test_the_table_is_written_if_its_rows_form_no_problem(
+    run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]
+) -> None:
+    """Not if an option is refused."""
+    rows, rig = noisy
+    write_table(tmp_path / "short.csv", rows.select(np.array([0])), ("rad",) * 6)
+    write_rig(tmp_path / "rig.toml", rig)
+    given = ["identify", tmp_path / "short.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml"]
+    given += ["--table-out", tmp_path / "o.csv"]
+    assert run(*given, "--free", "nothing").code == 2
+    assert not (tmp_path / "o.csv").exists()
+    assert run(*given).code == 2
+    assert len((tmp_path / "o.csv").read_text().splitlines()) == 2
+
+
+def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
+    table, rig = noisy
+    value = table.value.copy()
+    value[70] += 20 * SIGMA
+    options = ["--solver", "map", "--loss", "huber", "--hold-out", "shell=outer", "--report", tmp_path / "r.html"]
+    result, _ = identified(run, tmp_path, replace(table, value=value), rig, *options)
+    page = (tmp_path / "r.html").read_text()
+    assert "<h1>Calibration of puma560</h1>" in page
+    assert '<p class="subtitle">t.csv</p>' in page
+    assert "t.csv row 72" in page
+    assert "huber loss" in page
+    assert "wide prior (10 mm, 52 mrad" in page
+    assert f"<code>truearm identify {tmp_path / 't.csv'} --model puma560" in page
+    predicted = result["predicted_error"]
+    assert (predicted["n"], predicted["relative"]) == (180, False)
+    assert 0.0 < predicted["rms_mm"] < predicted["max_mm"]
+    findings = stated(result)
+    assert (findings["tool-error"].values["rms"], findings["tool-error"].values["n"]) == (
+        {"mm": predicted["rms_mm"]},
+        180,
+    )
+    assert (findings["solver"].values["solver"], findings["solver"].values["loss"]) == ("map", "huber")
+    assert findings["solver"].values["n"] == len(result["suggested_free"])
+    assert all(
+        of.text(option).replace("'", "&#x27;").replace('"', "&quot;").replace("<", "&lt;") in page
+        for of in findings.values()
+    )
+    (entry,) = result["observations"]
+    assert entry["rms_after_mm"] == pytest.approx(result["rms_after_mm"])
+    assert entry["rms_held_out_mm"] == pytest.approx(result["held_out"]["rms_mm"])
+    assert result["residual_units"] == ["mm"]
+
+
+def test_the_page_replaces_a_page_but_nothing_else(run, printed: Run, good: list[object], tmp_path: Path) -> None:
+    page, diary = tmp_path / "r.html", tmp_path / "diary.html"
+    diary.write_text("<!DOCTYPE html><p>Dear diary</p>")
+    out = printed(*good, "--report", page)
+    assert out.splitlines()[-1].endswith("r.html")
+    told(run(*good, "--report", page), "file-exists", "--force")
+    assert run(*good, "--report", page, "--force").code == 0
+    told(run(*good, "--report", diary, "--force"), "file-exists")
+    told(run(*good, "--report", diary), "file-exists")
+    new = tmp_path / "new"
+    told(run(*good, "--report", new, "--out", new), "given-twice")
+    told(run(*good, "--report", good[1]), "given-twice")
+    told(run(*good, "--report", tmp_path / "none" / "r.html"), "missing-file")
+    assert diary.read_text() == "<!DOCTYPE html><p>Dear diary</p>"
+
+
+@pytest.mark.parametrize(
+    ("name", "counts", "key"),
+    [
+        ("line", {"lines": 2, "lines_used": "2", "dwells": None}, ("lines", "lines_used")),
+        ("ball-bar", {"dwells": 3, "used": "3", "last": 6, "stops": 3, "lines": 0}, ("dwells", "used")),
+    ],
+)
+def test_what_a_session_gave_is_counted_in_its_own_kind(
+    run: Run, tmp_path: Path, name: str, counts: dict[str, Any], key: tuple[str, str]
+) -> None:
+    session = MUKCA.parent / "sessions" / f"{name}.mcap"
+    out = tmp_path / "r.json"
+    run("identify", session, "--model", "puma560", "--max-iterations", "1", "--out", out)
+    values = stated(json.loads(out.read_text()))["session"].values
+    assert {**values, **counts} == values
+    (count,) = json.loads(out.read_text())["sessions"]
+    assert count[key[0]] == count[key[1]] > 0
+    assert count["lines_rejected"] == {}
+    assert count["with_bar"] is (name == "ball-bar")

@@ -1,6 +1,7 @@
 """`truearm session export`: tables equal bit for bit to the synchronised data, in memory that does not grow with the session."""
 
 import csv
+import io
 import json
 import os
 import subprocess
@@ -14,6 +15,9 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from blocks_bench import read
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from session_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of, write_session
 from session_stream import columns_of as message_columns
 from tests.refusals import ended
@@ -28,6 +32,7 @@ from truearm.session.observations import observations, survey
 from truearm.session.session_file import open_session
 from truearm.session.session_tables import MAX_TABLES, tabulate
 from truearm.types import Message
+from truearm.workflows.session_files import ArrowTable
 from truearm_wire import messages as wire
 
 WORDS = ("reason", "kind", "event", "shell", "bar", "chuck", "sphere")
@@ -378,3 +383,55 @@ def test_samples_are_those_that_inspect_counts(made, tmp_path, capsys):
         assert said["tables"][f"box_{stream['name']}.csv"]["rows"] == stream["samples"]
         assert f"box_{stream['name']}.csv ({stream['samples']} samples)" in printed
     assert sum(stream["samples"] for stream in document["streams"]) == document["losses"]["samples"] > 0
+
+
+# CSV tables: numbers are read back bit for bit; NaN is an empty cell
+
+floats = arrays(np.float64, 5, elements=st.floats(width=64))
+whole = arrays(np.int64, 5, elements=st.integers(-(2**63), 2**63 - 1))
+
+
+def written_columns(path, *batches):
+    table = ArrowTable(path, batches[0])
+    for batch in batches:
+        table.write(batch)
+    table.close()
+    header, *rows = csv.reader(io.StringIO(path.read_text(encoding="utf-8"), newline=""))
+    assert header == list(batches[0])
+    assert table.rows == len(rows)
+    return list(zip(*rows, strict=True))
+
+
+@settings(max_examples=30)
+@example(x=np.array([0.0, -0.0, -0.0, 0.0, -0.0]), n=np.zeros(5, dtype=np.int64), text=[""] * 5)
+@given(x=floats, n=whole, text=st.lists(st.text('a,"é\n ', max_size=5), min_size=5, max_size=5))
+def test_bit_for_bit(tmp_path_factory, x, n, text):
+    """Numbers alone go another way than numbers beside text; infinities and the empty batch too."""
+    path = tmp_path_factory.mktemp("t") / "t.csv"
+    numbers = {"x": x, "n": n}
+    for columns in (numbers, {**numbers, "text": np.array(text, dtype=np.str_)}):
+        cells = written_columns(path, columns, {title: column[:0] for title, column in columns.items()}, columns)
+        read = np.array([np.nan if cell == "" else float(cell) for cell in cells[0]])
+        np.testing.assert_array_equal(
+            read.view(np.int64)[~np.isnan(read)], np.tile(x, 2).view(np.int64)[~np.isnan(read)]
+        )
+        np.testing.assert_array_equal(np.isnan(read), np.isnan(np.tile(x, 2)))
+        assert [int(cell) for cell in cells[1]] == np.tile(n, 2).tolist()
+
+
+def test_memory_of_npz_does_not_grow_with_its_rows(tmp_path):
+    n, peaks = 50_000, []
+    names = np.array(["bar", "gauge ä", ""])[np.arange(n) % 3]
+    columns = {"x": np.arange(n) / 7.0, "name": names, "none": np.full(n, "", dtype=np.str_)}
+    for batches in (4, 16):
+        table = ArrowTable(tmp_path / "t.npz", columns)
+        for _ in range(batches):
+            table.write(columns)
+        tracemalloc.start()
+        table.close()
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+    with np.load(tmp_path / "t.npz") as read:
+        for title, column in columns.items():
+            np.testing.assert_array_equal(read[title], np.tile(column, batches))

@@ -55,12 +55,7 @@ def validation():
         **numbers,
         **{"simulated": True, "without_rig": "rig.toml", "unseen": 0},
         **{"residual_units": ["mm", "deg"], "expected": None, "placed": True, "rms_raw_mm": 1.0, "rms_raw_deg": 0.1},
-        **{
-            "chi2_reduced": 1.1,
-            "chi2_limit": 1.2,
-            "faults": [],
-            "copies": [],
-        },
+        **{"chi2_reduced": 1.1, "chi2_limit": 1.2, "faults": [], "copies": []},
         **{"settled": 21, "kept": 1, "left_out": 2, "regions": [{**numbers, "region": part} for part in parts]},
     }
     document |= {"rows": 120, "better": {"mm": True, "deg": True}, "consistent": True, "identified_from": [LONG]}

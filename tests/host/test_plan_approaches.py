@@ -7,13 +7,7 @@ from plan_bench import Course
 
 from truearm.errors import PlanError
 from truearm.model.chain import distance_jacobian
-from truearm.plan.approaches import (
-    FARTHEST,
-    LEAST,
-    approach_directions,
-    most_informative,
-    plan_approaches,
-)
+from truearm.plan.approaches import FARTHEST, LEAST, approach_directions, most_informative, plan_approaches
 from truearm.plan.bar_paths import Pace
 from truearm.plan.measurement_limits import Limits, allowed, free_travel
 from truearm.plan.options import ApproachOptions

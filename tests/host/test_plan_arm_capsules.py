@@ -92,8 +92,7 @@ PUMA560_SURFACE = [
 
 
 @pytest.mark.parametrize(
-    ("name", "links_of", "surface"),
-    [("ur5e", ur5e_links, UR5E_SURFACE), ("puma560", puma560_links, PUMA560_SURFACE)],
+    ("name", "links_of", "surface"), [("ur5e", ur5e_links, UR5E_SURFACE), ("puma560", puma560_links, PUMA560_SURFACE)]
 )
 def test_an_arm_is_inside_its_capsules(name, links_of, surface):
     known = bench.known(name)

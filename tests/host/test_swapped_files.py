@@ -1,9 +1,11 @@
-"""A file of another kind than the command expects is named as what it is."""
+"""A file of another kind than the command expects is named as what it is; a similar name is proposed for a missing one."""
 
 from pathlib import Path
 
 import pytest
 from tests.refusals import ended
+
+from truearm.file_names import missing_file
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 FILES = {
@@ -40,3 +42,23 @@ def test_a_swapped_file_is_named(typed, file, kind, expected, run, tmp_path, mon
     code, out, err = run(*words)
     assert (code, out) == (2, "")
     ended(err, "invalid-input", f"{kind}, where ", expected, place=file)
+
+
+def test_a_similar_name_is_proposed(tmp_path):
+    (tmp_path / "panda_3.csv").touch()
+    (tmp_path / "rig.toml").touch()
+    values = missing_file(tmp_path / "pnada_3.csv").values
+    assert values == {"place": str(tmp_path / "pnada_3.csv"), "meant": str(tmp_path / "panda_3.csv")}
+    assert missing_file(tmp_path / "else.csv").values["meant"] == ""
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    assert missing_file(tmp_path / "gone" / "rig.toml").values["folder"] == str(tmp_path / "gone")
+
+
+def test_a_link_to_nothing_is_not_its_own_proposal(tmp_path):
+    (tmp_path / "rig.toml").symlink_to(tmp_path / "other")
+    (tmp_path / "results").mkdir()
+    assert missing_file(tmp_path / "result.json").values["meant"] == ""
+    assert missing_file(tmp_path / "result").values["meant"] == str(tmp_path / "results")
+    assert missing_file(tmp_path / "rig.toml").values["meant"] == ""

@@ -18,13 +18,7 @@ from truearm.workflows.requests import CorrectFiles, CorrectOptions, ExportFiles
 
 
 @command(methods=methods_help(), stepped=" or ".join(with_steps()))
-def correct(
-    files: CorrectFiles,
-    *,
-    options: CorrectOptions,
-    details: bool = False,
-    json: bool = False,
-) -> Answer:
+def correct(files: CorrectFiles, *, options: CorrectOptions, details: bool = False, json: bool = False) -> Answer:
     """Correct targets so that the real robot reaches them.
 
     In a program, only the numbers of targets change. Numbers change only if every use of every name that leads to them is the target of a corrected move; other moves get numbers of their own.

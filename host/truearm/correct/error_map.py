@@ -92,12 +92,7 @@ class BestRectangle(NamedTuple):
 
 
 def error_map(
-    pair: ModelPair,
-    q: Floats,
-    joints: tuple[int, int],
-    cell: float,
-    covariance: Floats,
-    unseen: Floats,
+    pair: ModelPair, q: Floats, joints: tuple[int, int], cell: float, covariance: Floats, unseen: Floats
 ) -> ErrorMap:
     """Return the map over the section that two joints (indices) span while the others stay at q (j,).
 

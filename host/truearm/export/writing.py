@@ -248,13 +248,7 @@ def named(names: tuple[str, ...]) -> str:
 
 
 def _check_worth(
-    name: str,
-    chain: Chain,
-    nominal: Floats,
-    identified: Floats,
-    poses: Floats,
-    lost: Sequence[Parameter],
-    q: Floats,
+    name: str, chain: Chain, nominal: Floats, identified: Floats, poses: Floats, lost: Sequence[Parameter], q: Floats
 ) -> None:
     """Raise RobotError unless a file's poses (n, 4, 4) are closer to the identified robot's than the nominal ones.
 

@@ -105,8 +105,7 @@ def _parameters(entries: Sequence[Document]) -> Iterator[str]:
     yield page.table(result_tables.parameter_table(robot), "numbers")
     if rig:
         yield page.folded(
-            f"{counted(len(rig), 'parameter')} of the rig",
-            page.table(result_tables.parameter_table(rig), "numbers"),
+            f"{counted(len(rig), 'parameter')} of the rig", page.table(result_tables.parameter_table(rig), "numbers")
         )
 
 

@@ -62,10 +62,7 @@ def _facts(document: Document) -> tuple[tuple[str, str], ...]:
         ("targets", counted(len(document["targets"]), "target")),
         ("robot", f"{document['robot']}, {document['end_frame']} in {document['base_frame']}"),
         ("calibration", one_line(document["result"])),
-        (
-            "unexplained by the calibration",
-            f"{document['unexplained_mm']:.3f} mm, {unexplained} (standard deviation)",
-        ),
+        ("unexplained by the calibration", f"{document['unexplained_mm']:.3f} mm, {unexplained} (standard deviation)"),
         ("expected error", f"k = 2, covariance and unexplained part{relative}"),
     )
 

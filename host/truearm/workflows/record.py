@@ -134,11 +134,7 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
         gone_on(progress, work.earlier_session)
     state = LiveState(progress, work.rig, work.robot is not None, _purpose(work, device), request.unchecked)
     robot = nullcontext() if work.robot is None else closing(open_source(work.robot, clock))
-    with (
-        closing(Reopening(BoxPort(device, clock))) as link,
-        robot as robot_link,
-        asked_to_stop() as interrupted,
-    ):
+    with closing(Reopening(BoxPort(device, clock))) as link, robot as robot_link, asked_to_stop() as interrupted:
         with (
             SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
             showing(state, request.plain, output),

@@ -251,12 +251,7 @@ def validation_certificate(
             ("Conditions", page.conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
-        (
-            decision,
-            *[Finding("simulated")] * simulated,
-            *[Finding("excludes-directions")] * lengths,
-            *ALWAYS_EXCLUDED,
-        ),
+        (decision, *[Finding("simulated")] * simulated, *[Finding("excludes-directions")] * lengths, *ALWAYS_EXCLUDED),
     )
 
 

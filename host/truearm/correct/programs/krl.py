@@ -33,16 +33,7 @@ from truearm.correct.programs.program import (
     Uses,
 )
 from truearm.correct.programs.reading import Reading, Uncertain, check_reach, matrix_of_angles, steps_of, words_of
-from truearm.correct.programs.tokens import (
-    KRL,
-    Source,
-    Tokens,
-    closing,
-    is_bracketed,
-    is_word,
-    separated,
-    tokens_of,
-)
+from truearm.correct.programs.tokens import KRL, Source, Tokens, closing, is_bracketed, is_word, separated, tokens_of
 from truearm.types import Floats
 
 WORDS, STEPS = words_of("krl"), steps_of("krl")
