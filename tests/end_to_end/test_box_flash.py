@@ -106,9 +106,8 @@ def test_a_damaged_image_is_refused_or_its_pages_alone_differ(data):
     assert found.chip is CHIPS[RP2040]
     for at in (k for k in range(len(bad)) if bad[k] != good[k]):
         number, within = divmod(at, BLOCK)
-        assert (
-            8 <= within < 12 or 288 <= within < 508 or (number > 0 and 32 <= within < 288)
-        )  # 8: flags without meaning
+        # 8: flags without meaning
+        assert 8 <= within < 12 or 288 <= within < 508 or (number > 0 and 32 <= within < 288)
 
 
 def test_a_running_box_is_flashed(tmp_path, no_ports, printed):

@@ -124,9 +124,8 @@ def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys, pr
     # 500 shots with 5.1 µm of noise over 22.5 µm ticks: the noise leaves up to 2.6 µm of the ticks' steps in a mean (truearm_sim/sensors.py)
     # and √(5.1² + 22.5²/12)/√500 = 0.4 µm of its own; over 200 mm that turns the slope by no more than 2 · 3 µm / 200 mm
     assert abs(speed / 9.031 - 1) <= 2 * 3e-6 / 0.2
-    assert abs(delay - 1.5) * 2.812 <= 1e3 * (
-        3e-6 + 0.4 * 6e-6 / 0.2
-    )  # mm/µs; the zero lies 0.4 m beyond the middle, at most
+    # mm/µs; the zero lies 0.4 m beyond the middle, at most
+    assert abs(delay - 1.5) * 2.812 <= 1e3 * (3e-6 + 0.4 * 6e-6 / 0.2)
 
 
 def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):

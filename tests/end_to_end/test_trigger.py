@@ -14,9 +14,8 @@ from truearm_sim.world import RobotInput, Setup, World, standard_plan
 
 INPUT = 3
 SECONDS = 62.0  # some 600 edges
-WIRED = RobotInput(
-    INPUT, inverted=True, rising_delay_s=10e-6, falling_delay_s=300e-6
-)  # an NPN input behind a slow coupler
+# an NPN input behind a slow coupler
+WIRED = RobotInput(INPUT, inverted=True, rising_delay_s=10e-6, falling_delay_s=300e-6)
 
 
 def recorded(path, seed, seconds, rate=500.0):

@@ -149,9 +149,8 @@ def test_settling_times_are_those_of_the_bar_without_noise():
             true[at] = max(0.0, settled_after(size, band, band))
         assert (times[known] >= least).all()
         assert (times[known] <= most).all()
-        if band == max(
-            BANDS
-        ):  # of the narrower one half the visits swing out once more and half do not: either is the median
+        # of the narrower one half the visits swing out once more and half do not: either is the median
+        if band == max(BANDS):
             assert np.median(most - least) < 6.0 * period_s
             assert abs(np.median(times[known]) - np.median(true)) <= period_s
 

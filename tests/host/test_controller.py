@@ -278,15 +278,8 @@ def test_a_file_whose_rows_cannot_hold_the_controller_is_refused(run, tmp_path, 
             "[base]", "[base]\nbeta_deg = { design = 0.0 }"
         )
     )
-    code, _, err = run(
-        "robot",
-        "read",
-        controller(state(info(built_rows(UR5E.chain)))),
-        "--model",
-        tmp_path / "mine.toml",
-        "--out",
-        tmp_path / "r.toml",
-    )
+    address = controller(state(info(built_rows(UR5E.chain))))
+    code, _, err = run("robot", "read", address, "--model", tmp_path / "mine.toml", "--out", tmp_path / "r.toml")
     assert code == 2
     assert "cannot hold" in err
 

@@ -95,12 +95,9 @@ def test_a_straight_move_bends_as_the_controller_drives_it():
         beside = places - places[0] - np.outer((places - places[0]) @ chord, chord)
         largest = np.linalg.norm(beside, axis=1).max()
         assert found.deviation[k] == pytest.approx(largest, rel=0.02, abs=1e-6)
-        assert (
-            found.singular_value[k] <= singular_value(CHAIN, DESIGN, path[[0, -1]]).min() + 1e-9
-        )  # the interpreter ends to 1e-10
-        assert (
-            found.limits[k].min() <= limit_margins(CHAIN, path[[0, -1]]).min() + 1e-9
-        )  # the interpreter ends to 1e-10
+        # the interpreter ends to 1e-10
+        assert found.singular_value[k] <= singular_value(CHAIN, DESIGN, path[[0, -1]]).min() + 1e-9
+        assert found.limits[k].min() <= limit_margins(CHAIN, path[[0, -1]]).min() + 1e-9
 
 
 def test_a_line_that_cannot_be_followed_has_no_figures(bench, tmp_path, printed):
@@ -181,24 +178,15 @@ def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, run, printed
     q = correct_bench.good_poses(6)
     name = "a<script>&.mod"
     (tmp_path / name).write_bytes(rapid(correct_bench.nominal_poses(q), q))
-    more = ("--work", SAME, "--flange", SAME, "--report", tmp_path / "page.html")
-    said = printed("correct", folder / "result.json", tmp_path / name, "--out", tmp_path / "b.mod", *more)
+    given = ("correct", folder / "result.json", tmp_path / name, "--work", SAME, "--flange", SAME)
+    said = printed(*given, "--out", tmp_path / "b.mod", "--report", tmp_path / "page.html")
     assert "page.html" in said
     page = (tmp_path / "page.html").read_text()
     assert "a<script>" not in page
     assert "a&lt;script&gt;" in page
     assert page.count("<svg") == 3
     assert "Straight moves" in page
-    code, _, err = run(
-        "correct",
-        folder / "result.json",
-        tmp_path / name,
-        "--out",
-        tmp_path / "c.mod",
-        *more[:4],
-        "--report",
-        tmp_path / "b.mod",
-    )
+    code, _, err = run(*given, "--out", tmp_path / "c.mod", "--report", tmp_path / "b.mod")
     assert code == 2
     assert "b.mod" in err
     assert not (tmp_path / "c.mod").exists()
@@ -209,18 +197,13 @@ def test_an_axis_just_beyond_a_quarter_turn_is_shown_on_its_side():
     quarters = np.array([[0.0, np.nan, np.nan, 1.0, np.nan, 0.0]])
     (note,) = configuration_notes(q, quarters, np.array([True]), [7])
     assert note.code == "configuration-data"
-    assert [re.findall(r"-?\d[\d.]*", detail) for detail in note.values["details"].split("; ")] == [
-        [
-            "7",
-            "1",
-            "0",
-            "1",
-            "-0.03",
-            "-1",
-        ],  # line, cf of an axis and its value, the axis and its angle, the value needed
+    # line, cf of an axis and its value, the axis and its angle, the value needed
+    details = [
+        ["7", "1", "0", "1", "-0.03", "-1"],
         ["7", "4", "1", "4", "89.9999", "0"],
         ["7", "6", "0", "6", "-95", "-2"],
     ]
+    assert [re.findall(r"-?\d[\d.]*", detail) for detail in note.values["details"].split("; ")] == details
 
 
 def test_an_axis_at_a_quarter_turn_within_rounding_contradicts_no_data():

@@ -79,9 +79,8 @@ def test_orders_that_the_places_allow():
     assert list(possible_orders(np.linspace(0, 1, 4))) == [1]
     assert list(possible_orders(np.linspace(0, 1, 11))) == list(range(1, 8))
     assert list(possible_orders(np.ones(20))) == []  # a sensor that stands still
-    assert list(possible_orders(np.repeat([0.0, 0.5, 1.0], 8))) == [
-        1
-    ]  # a parabola through three places is not a test of it
+    # a parabola through three places is not a test of it
+    assert list(possible_orders(np.repeat([0.0, 0.5, 1.0], 8))) == [1]
     jitter = 1e-5 * np.random.default_rng(0).standard_normal(24)
     assert list(possible_orders(np.repeat([0.0, 0.5, 1.0], 8) + jitter)) == [1]
 

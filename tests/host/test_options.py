@@ -153,9 +153,8 @@ def test_what_writes_a_file_has_force():
     for name, command in commands().items():
         words = {one.opts[0]: one for one in command.params}
         writes = [one for word, one in words.items() if word in ("--out", "--report") or word.endswith("-out")]
-        if (
-            any(one.metavar == "FILE" for one in writes) and name != "truearm fleet"
-        ):  # whose rerun replaces its own table
+        # fleet's rerun replaces its own table
+        if any(one.metavar == "FILE" for one in writes) and name != "truearm fleet":
             assert "--force" in words, name
 
 

@@ -375,11 +375,8 @@ def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
         f"from truearm.toml: ../results/{result.name} --model"
     )
     code, _, err = run("correct", "../sessions/2026-01-01.mcap", "targets.csv", "--out", "corrected.csv")
-    assert (code, "2026-01-01.mcap" in err, "targets.csv" in err) == (
-        2,
-        True,
-        False,
-    )  # it stands where a result belongs
+    # it stands where a result belongs
+    assert (code, "2026-01-01.mcap" in err, "targets.csv" in err) == (2, True, False)
 
 
 def test_a_plan_is_never_written_over_by_default(project, run):
