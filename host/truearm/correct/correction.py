@@ -8,7 +8,7 @@ f_i(f_n⁻¹(x_d)), so the target is shifted by the opposite:
 
     x_m = x_d + (x_d − x_n)                                   (32)
 
-Repeated: x_m ← f_n(q) + (x_d − f_i(q)). Orientations are composed.
+Repeated: x_m ← f_n(q) + (x_d − f_i(q)); orientations compose.
 
 **Joint space** (IV-C), for a controller that accepts readings, with the nominal Jacobian or its pseudo-inverse:
 
@@ -16,15 +16,15 @@ Repeated: x_m ← f_n(q) + (x_d − f_i(q)). Orientations are composed.
 
 One step of either leaves an error of second order.
 
-**Offsets** (IV-C), in the paper by the zeros of encoders:
+**Offsets** (IV-C), there the encoders' zeros:
 
     q_i = f_n⁻¹(x_d) − Δq                                     (35)
 
 Here it is the reading θ_i⁻¹(θ_n(q_n)) at which the true joints are where the controller aims: exact if only the joint
 law is wrong.
 
-A target is rejected, without a guess, if the nominal or the identified robot cannot reach it within the joint limits.
-So is one closer to a singularity than ``margin``, and one where an iteration increases the error.
+Targets are rejected that the nominal or the identified robot cannot reach within the joint limits, that are closer to a
+singularity than ``margin``, or where an iteration increases the error.
 """
 
 from __future__ import annotations

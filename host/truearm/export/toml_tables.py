@@ -4,10 +4,10 @@ Every convention has its table: ``dh`` and ``modified_dh`` rows between base and
 constants. The mountings are part of base and tool, or of the first and the last link; the comment at the top lists them
 separately.
 
-Denavit–Hartenberg rows are computed from the poses of the axes of any robot with revolute joints. Frame 0 lies on the
-first axis, at the point nearest to the robot's base. Frame i lies on axis i + 1 at the foot of the common normal from
-axis i, with x along it. Frame n lies on the last axis, at the point nearest to the flange. The direction of x makes θ
-smallest for the nominal robot, as manufacturers do.
+Denavit–Hartenberg rows are computed from the axes of any robot with revolute joints. Frame 0 lies on the first axis,
+nearest to the robot's base. Frame i lies on axis i + 1 at the foot of the common normal from axis i, with x along it.
+Frame n lies on the last axis, nearest to the flange. The direction of x makes θ smallest for the nominal robot, as
+manufacturers do.
 
 Nearly parallel axes have a distant normal, hundreds of metres for an arm as built, and such d of successive rows
 cancel. Each row begins at the frame that the rows before it give in floating point, so the rows predict the arm to

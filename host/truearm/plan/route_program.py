@@ -1,21 +1,19 @@
-"""A route as a program in URScript or RAPID, or as a table (CSV) for a controller with another language.
+"""A route as a program in URScript or RAPID, or as a table (CSV) for other controllers.
 
-The first move starts anywhere and is slow. Every other move is straight in joint space and takes the seconds of the
-route. At a pose the program sets an output ("at rest"), waits for the dwell, and clears the output. A line is driven
-straight in space at the planned speed, with the output set. With an ``input`` the program also waits until the box has
-answered, at most TIMEOUT, and until the answer is cleared. Before leaving a pairing or a line it stops until bar or
-device is removed, and at the next one until it is mounted.
+The first move, from anywhere, is slow. The others are straight in joint space and take the seconds of the route. At a
+pose an output ("at rest") is set for the dwell. A line is driven straight in space at the planned speed, with the
+output set. With an ``input`` the program also waits until the box has answered, at most TIMEOUT, and until the answer
+is cleared. Before leaving a pairing or a line it stops until bar or device is removed, and at the next one until it is
+mounted.
 
-URScript follows Universal Robots' script manual for programs sent to a controller (port 30002): ``def`` in the first
-column, everything else indented, ``end`` in the first column. The program runs once ``end`` has arrived. A ``movel`` to
-joints moves straight in space to where the controller's own model places them: in the planned configuration, and to the
-calibrated arm's own pose.
+URScript follows Universal Robots' script manual for programs sent to port 30002: ``def`` and ``end`` in the first
+column, everything else indented; it runs once ``end`` has arrived. A ``movel`` to joints goes straight in space to
+where the controller's own model places them, in the planned configuration.
 
-In RAPID, the signals ``doTruearm`` and ``diTruearm`` are defined in the controller's configuration. Lines are driven to
-robtargets that the controller computes from the planned joints (``CalcRobT``), and therefore in the planned
-configuration and by its own model.
+RAPID's signals ``doTruearm`` and ``diTruearm`` are defined in the controller's configuration. Lines go to robtargets
+that the controller computes from the planned joints (``CalcRobT``), and so in the planned configuration.
 
-To add a language, describe it here and add its suffix to ``LANGUAGES`` in ``options``, which ``--help`` reads.
+A further language also has its suffix in ``options.LANGUAGES``, which ``--help`` reads.
 """
 
 from __future__ import annotations
