@@ -34,10 +34,9 @@ READ_ALONE = """
 import sys
 from pathlib import Path
 from truearm.correct.programs.census import Census
-from truearm.correct.programs.corrected_text import changed_files, changes_of
+from truearm.correct.programs.corrected_text import changed_files, changes_of, target_poses
 from truearm.correct.programs.languages import read_programs
 from truearm.correct.programs.program import Surroundings
-from truearm.correct.programs.reread import target_poses
 from truearm.correct.programs.tokens import Source
 (program,) = read_programs("rapid", [Source("p.mod", Path(sys.argv[1]).read_bytes())], Surroundings())
 census = Census(program, True)

@@ -10,7 +10,7 @@ The 3-D view shows the arm, its fixtures, and points with error vectors. The pag
 its source. The view stays hidden without the script or without WebGL; the page's pictures stay for these and for paper.
 
 The certificate says what was calibrated, against what, the errors, and what they do not include. It fits on a sheet of
-A4: items that do not fit (many sensors, many files) are counted. ``workflows.certificates`` says what is in it.
+A4: items that do not fit (many sensors, many files) are counted. ``workflows.report`` says what is in it.
 """
 
 from __future__ import annotations
