@@ -25,7 +25,7 @@ from session_stream import columns_of
 from truearm.record.frame_splitter import FrameSplitter
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_ident import Ident, parse_ident
+from truearm.session.frames import Ident, parse_ident
 from truearm.session.session_file import Messages, Session, open_session
 from truearm.session.streams import BoxReader
 from truearm.types import Message

@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.host.test_box_config import default
 from tests.wire_frames import command
-from truearm.session.box_ident import RATIO_STEP, parse_ident
+from truearm.session.frames import RATIO_STEP, parse_ident
 from truearm.session.samples import with_ratios
 from truearm_sim.hardware import Edge
 from truearm_wire.messages import (

@@ -14,7 +14,7 @@ from tests.wire_frames import data_frame
 
 from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_ident import Ident
+from truearm.session.frames import Ident
 from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader
 from truearm_sim.chip import ChipBox

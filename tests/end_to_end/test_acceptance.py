@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.levels import LEVELS, MAG_PERIOD_NS, lab_of, record_lab, samples
 
-from truearm.session.box_ident import find_channels
+from truearm.session.frames import find_channels
 from truearm.session.observations import survey
 from truearm.session.session_file import open_session
 from truearm_sim import sensors

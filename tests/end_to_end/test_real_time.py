@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 from tests.end_to_end.conftest import truearm, truearm_process
 
-from truearm.session.box_ident import recorded_ident
+from truearm.session.frames import recorded_ident
 from truearm.session.joint_format import unpack
 from truearm.session.session_file import open_session
 from truearm.session.streams import BoxReader

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from session_stream import CHANNELS, PERIOD_NS, Box, columns_of
 
-from truearm.session.box_ident import Ident
-from truearm.session.frames import Data
+from truearm.session.frames import Data, Ident
 from truearm.session.streams import BoxReader
 
 BLOCK_NS = 13 * PERIOD_NS

@@ -8,8 +8,7 @@ from record_box import ident
 
 from truearm.live.state import LiveState, SessionProgress
 from truearm.record.operator import Counters, Status
-from truearm.session.box_ident import decode_ident
-from truearm.session.frames import Data
+from truearm.session.frames import Data, decode_ident
 from truearm.session.joint_format import JointLine
 from truearm.types import BallBar, Point, Rig
 

@@ -26,7 +26,7 @@ from truearm.cli.main import main
 from truearm.errors import SessionError
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import read_table
-from truearm.session.box_ident import recorded_ident
+from truearm.session.frames import recorded_ident
 from truearm.session.joint_format import parse_lines
 from truearm.session.observations import observations, survey
 from truearm.session.session_file import open_session

@@ -20,7 +20,7 @@ from record_box import (
 from record_files import Watching, events, received, run, topics
 
 from truearm.record.recorder import RecordOptions
-from truearm.session.box_ident import recorded_ident
+from truearm.session.frames import recorded_ident
 from truearm.session.session_file import open_session
 
 

@@ -17,7 +17,7 @@ from truearm.cli.main import main
 from truearm.findings import Finding
 from truearm.model.robot import builtin_robot
 from truearm.record.write_lock import hold
-from truearm.session.labels_file import labels_path, read_labels
+from truearm.session.plan_matching import labels_path, read_labels
 from truearm.types import BAR_MOUNTED
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import recorded_dwells, unsettled

@@ -33,7 +33,7 @@ from truearm.record.recover import recover
 from truearm.record.requests import Requests
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_ident import parse_ident
+from truearm.session.frames import parse_ident
 from truearm.session.joint_format import COLUMNS
 from truearm.session.session_file import open_session
 from truearm.types import Message

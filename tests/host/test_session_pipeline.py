@@ -11,8 +11,8 @@ from tests.refusals import refused
 
 from truearm.errors import RigError
 from truearm.report.session_findings import REJECTED
-from truearm.session.box_ident import parse_ident
 from truearm.session.clock import fit_clock
+from truearm.session.frames import parse_ident
 from truearm.session.observations import observations, survey
 from truearm.session.samples import ChannelSamples
 from truearm.session.streams import BoxReader

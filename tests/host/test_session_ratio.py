@@ -7,7 +7,7 @@ import pytest
 from tests.host.test_box_config import default
 
 from truearm.box.configuration import change_lines, format_config, with_file
-from truearm.session.box_ident import RATIO_STEP, parse_ident
+from truearm.session.frames import RATIO_STEP, parse_ident
 from truearm.session.samples import RAIL_HIGH, RAIL_LOW, extension, railed, with_ratios
 
 SCALE = [1430511474609375, -22]  # 1.2 V / 2^23

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_stream import PERIOD_NS, Box, ident_document
 
-from truearm.session.box_ident import parse_ident
-from truearm.session.frames import FRAME
+from truearm.session.frames import FRAME, parse_ident
 from truearm.session.streams import Losses, StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire

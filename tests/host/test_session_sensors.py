@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from session_stream import ident_document, metres_of
 
 from truearm.errors import ProtocolError, SessionError
-from truearm.session.box_ident import Channel, decimal, decode_ident, find_channels, parse_ident, recorded_ident
-from truearm.session.frames import Pages
+from truearm.session.frames import Channel, Pages, decimal, decode_ident, find_channels, parse_ident, recorded_ident
 from truearm.session.joint_format import JointLine, parse_line
 from truearm.session.samples import extension, shown, volts
 from truearm.session.session_file import Session

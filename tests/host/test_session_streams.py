@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from session_stream import CHANNELS, PERIOD_NS, Box, columns_of, ident_document
 
 from truearm.session import streams
-from truearm.session.box_ident import parse_ident
+from truearm.session.frames import parse_ident
 from truearm.session.streams import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire

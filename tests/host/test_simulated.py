@@ -11,7 +11,7 @@ import pytest
 
 from truearm.cli.main import main
 from truearm.estimate.law_curves import SampledCurve
-from truearm.session.box_ident import EMULATED_UID
+from truearm.session.frames import EMULATED_UID
 from truearm.workflows.export import curve_table
 from truearm_sim.box import BoxSetup
 

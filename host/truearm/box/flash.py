@@ -29,7 +29,7 @@ from truearm.errors import Argument, ImageError, InputError, LinkError
 from truearm.findings import Finding
 from truearm.progress import step
 from truearm.record.ports import usb_ports
-from truearm.session.box_ident import Ident
+from truearm.session.frames import Ident
 from truearm.version import VERSION
 from truearm_wire.messages import BOOT_LOADER
 

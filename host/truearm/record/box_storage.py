@@ -24,8 +24,7 @@ from truearm.record.operator import Counters, Operator
 from truearm.record.requests import Requests
 from truearm.record.session_schemas import PREVIEW, PREVIEW_NS
 from truearm.record.session_writer import SessionWriter
-from truearm.session.box_ident import Ident, Stream
-from truearm.session.frames import Data, conforms, data_of, named_elements
+from truearm.session.frames import Data, Ident, Stream, conforms, data_of, named_elements
 from truearm.session.samples import counts_of, shown
 from truearm.units import MDEGC
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, TEMPERATURE

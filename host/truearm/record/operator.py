@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from truearm.session.box_ident import Ident
-from truearm.session.frames import Data
+from truearm.session.frames import Data, Ident
 from truearm.session.joint_format import JointLine
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from truearm.errors import SessionError
 from truearm.record.session_writer import SessionWriter, copy_head
-from truearm.session.box_ident import recorded_ident
+from truearm.session.frames import recorded_ident
 from truearm.session.session_file import Damage, Session
 from truearm.session.streams import BoxReader
 from truearm.units import NS

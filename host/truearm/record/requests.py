@@ -15,8 +15,7 @@ from typing import Any
 
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.record.links import Clock, Link
-from truearm.session.box_ident import Ident, decode_ident
-from truearm.session.frames import Pages
+from truearm.session.frames import Ident, Pages, decode_ident
 from truearm_wire import messages as wire
 from truearm_wire.frame import frame
 from truearm_wire.messages import encode_payload

@@ -19,10 +19,18 @@ from truearm.clocks import WANDER
 from truearm.kinds import registry
 from truearm.kinds.kind import DwellSensor
 from truearm.kinds.table import ObservationTable
-from truearm.session.box_ident import Ident
 from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
-from truearm.session.dwell_samples import LEARNT, measured, usual_noise, without_noisy
-from truearm.session.dwells import Dwell, find_dwells, has_manual_joints, manual_dwells
+from truearm.session.dwells import (
+    LEARNT,
+    Dwell,
+    find_dwells,
+    has_manual_joints,
+    manual_dwells,
+    measured,
+    usual_noise,
+    without_noisy,
+)
+from truearm.session.frames import Ident
 from truearm.session.joint_readings import JointReader, JointStream
 from truearm.session.line_passes import Leg, LinePass, find_legs, measure
 from truearm.session.plan_matching import Marks, check_rig, labelled, paired, passes_of, with_mountings

@@ -7,25 +7,35 @@ a row are. Among paths of equal value, the nearer one is chosen.
 
 A plan may contain the same pose with different fittings. A dwell to which paths of the highest value assign different
 fittings is **ambiguous**. Distances do not decide here.
+
+What ``truearm session relabel`` settles later is in SESSION.labels.json beside the session (docs/reference/session-format.md),
+which is never modified and is identified by its SHA-256. If there are several decisions, the last one counts.
 """
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right, insort
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby, pairwise
 from operator import itemgetter
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 
-from truearm.errors import Argument, RigError
+from truearm.disk import read_text, sha256, write_atomic
+from truearm.errors import Argument, RigError, SessionError
+from truearm.schema import NAME
 from truearm.session.dwells import POSE_TOLERANCE, Dwell
 from truearm.session.joint_format import Joints
 from truearm.session.line_passes import LONGEST_S, Leg, LinePass
+from truearm.strict_json import number_or_null, strict_json
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, MOUNTING, DwellLabel, Floats, Move, Plan, Rig
 
 FITTINGS = (*MOUNTED, "shell")
@@ -369,3 +379,117 @@ def with_mountings(dwells: Sequence[Dwell], marks: Marks) -> list[Dwell]:
         ):
             marked[i] = replace(dwell, reason=MOUNTING, detail="")
     return marked
+
+
+# --------------------------------------------------------------------------------------- labels that were settled later
+
+LABELS_SUFFIX = ".labels.json"
+FORMAT_VERSION: Literal[1] = 1
+MAX_LABELS_BYTES = 64 << 20
+LABELLED = (*BAR_MOUNTED, "shell")
+
+_Time = Annotated[int, Meta(ge=-(2**62), le=2**62)]
+_Name = Annotated[str, Meta(pattern=rf"^(?:{NAME.pattern})\Z")]
+_Text = Annotated[str, Meta(max_length=500, pattern=r"^[^\x00-\x1f\x7f]*\Z")]
+
+
+class LabelledDwell(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+    """A label; without ``bar``, ``chuck`` and ``sphere``, it is unknown what was mounted."""
+
+    begin_ns: _Time
+    end_ns: _Time
+    bar: _Name = ""
+    chuck: _Name = ""
+    sphere: _Name = ""
+    shell: _Name = ""
+    pose: Annotated[int, Meta(ge=0, le=10**9)] | None = None
+    probability: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    detail: _Text = ""
+
+    def __post_init__(self) -> None:
+        if any(self.mounted.values()) and not all(getattr(self, name) for name in BAR_MOUNTED):
+            raise ValueError("names only some of bar, chuck and sphere; give all three or none")
+
+    @property
+    def mounted(self) -> dict[str, str]:
+        """Return what was mounted, by column."""
+        return {name: getattr(self, name) for name in LABELLED if getattr(self, name)}
+
+    @property
+    def label(self) -> DwellLabel:
+        """Return the label of a dwell."""
+        probability = math.nan if self.probability is None else self.probability
+        return DwellLabel(self.begin_ns, self.end_ns, self.mounted, self.pose, probability, self.detail)
+
+
+class Decision(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+    """Labels settled at one time. ``trust``: what was assumed correct; ``robot``: its nominal model, or ""."""
+
+    trust: _Text
+    dwells: Annotated[tuple[LabelledDwell, ...], Meta(max_length=100_000)]
+    robot: _Text = ""
+
+
+class _LabelsHeader(Struct):
+    format_version: int = 0
+
+
+class Labels(Struct, frozen=True, forbid_unknown_fields=True):
+    """All decisions about the session with this SHA-256, the earliest first."""
+
+    format: Literal["truearm-labels"]
+    format_version: Literal[1]
+    session: _Text
+    sha256: _Text
+    decisions: Annotated[tuple[Decision, ...], Meta(min_length=1, max_length=1000)]
+
+
+def labels_path(session: Path) -> Path:
+    """Return the path of the labels of a session."""
+    return session.with_name(session.stem + LABELS_SUFFIX)
+
+
+def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
+    """Return the labels of the last decision about a session, or None if it has none.
+
+    Raises SessionError, also for labels that belong to another session.
+    """
+    path = labels_path(session)
+    if not path.exists():
+        return None
+    try:
+        labels = msgspec.json.decode(_labels_text(path), type=Labels)
+    except (msgspec.MsgspecError, RecursionError) as exc:
+        raise SessionError(f"{path}: {exc}; label the dwells again with truearm session relabel") from exc
+    if labels.sha256 != sha256(session):
+        raise SessionError(
+            f"{path}: was made for another session named {session.name}; remove it, and label the dwells again with truearm session relabel"
+        )
+    return tuple(dwell.label for dwell in labels.decisions[-1].dwells)
+
+
+def _labels_text(path: Path) -> str:
+    """Return the text of a file of labels. Raises SessionError for a later version, MsgspecError for other content."""
+    text = read_text(path, MAX_LABELS_BYTES, SessionError)
+    version = msgspec.json.decode(text, type=_LabelsHeader).format_version
+    if version > FORMAT_VERSION:
+        raise SessionError(f"{path}: has format version {version}, this truearm reads {FORMAT_VERSION}; update truearm")
+    return text
+
+
+def write_labels(session: Path, labels: Sequence[DwellLabel], trust: str, robot: str) -> None:
+    """Write the labels of a session atomically; ``trust`` and ``robot`` as in ``Decision``.
+
+    Raises InputError, and SessionError if a later version of truearm wrote labels, which would be lost.
+    """
+    path = labels_path(session)
+    if path.exists():
+        with suppress(msgspec.MsgspecError, RecursionError):  # what cannot be read may be written anew
+            _labels_text(path)
+    dwells = tuple(
+        LabelledDwell(start, end, **mounted, pose=pose, probability=number_or_null(probability), detail=detail)
+        for start, end, mounted, pose, probability, detail in labels
+    )
+    name = session.name.encode(errors="backslashreplace").decode()
+    document = Labels("truearm-labels", FORMAT_VERSION, name, sha256(session), (Decision(trust, dwells, robot),))
+    write_atomic(path, strict_json(msgspec.to_builtins(document)) + "\n")

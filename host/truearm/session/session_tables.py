@@ -19,10 +19,9 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from truearm.errors import SessionError
-from truearm.session.box_ident import Channel
 from truearm.session.clock import UNKNOWN, host_times
 from truearm.session.dwells import Dwell
-from truearm.session.frames import fields_of, parse_exchange
+from truearm.session.frames import Channel, fields_of, parse_exchange
 from truearm.session.joint_format import NO_INPUTS, OPTIONAL, UNNUMBERED, JointBatch, concatenate
 from truearm.session.joint_readings import JointStream, SegmentedReadings
 from truearm.session.line_passes import LinePass

@@ -25,8 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.session.box_ident import Channel, Ident, Stream, decode_ident
-from truearm.session.frames import NO_FRAMES, NONE, Frames, Pages, frames_of, is_boot, is_text, parse_exchange
+from truearm.session.frames import (
+    NO_FRAMES,
+    NONE,
+    Channel,
+    Frames,
+    Ident,
+    Pages,
+    Stream,
+    decode_ident,
+    frames_of,
+    is_boot,
+    is_text,
+    parse_exchange,
+)
 from truearm.session.session_file import Messages
 from truearm.types import Ints
 from truearm_wire import messages as wire

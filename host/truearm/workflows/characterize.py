@@ -24,8 +24,7 @@ from truearm.report.tables import Table
 from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.observations import BAR, SyncResult
-from truearm.session.sample_noise import mean_variance
-from truearm.session.samples import extension
+from truearm.session.samples import extension, mean_variance
 from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import Floats, Rig

@@ -294,8 +294,8 @@ def paired(session: Session, survey: Survey, rig: Rig | None = None) -> SyncResu
 
 def surveyed(session: Session, messages: Source | None = None) -> Survey:
     """Return the survey of a session, or of other ``messages`` with what it recorded of box and host clock. Raises SessionError."""
-    from truearm.session.box_ident import recorded_ident
     from truearm.session.clock import recorded_wander
+    from truearm.session.frames import recorded_ident
     from truearm.session.observations import survey
 
     return survey(messages or session.batches, recorded_ident(session), wander=recorded_wander(session))

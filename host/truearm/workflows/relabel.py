@@ -21,9 +21,8 @@ from truearm.live.state import check_mounted
 from truearm.model.robot import Robot
 from truearm.progress import step
 from truearm.session.dwells import POSE_TOLERANCE, Dwell
-from truearm.session.labels_file import labels_path, write_labels
 from truearm.session.observations import Survey, SyncResult, observations
-from truearm.session.plan_matching import Pairing, distances, match_plan, pairing_of
+from truearm.session.plan_matching import Pairing, distances, labels_path, match_plan, pairing_of, write_labels
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.recorded_session import open_finished, recorded_rig, session_parts, surveyed
 
