@@ -22,8 +22,8 @@ from cobs import cobs
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "host"))
 from session_stream import columns_of
 
-from truearm.record.frame_splitter import FrameSplitter
 from truearm.record.links import HostClock
+from truearm.record.requests import FrameSplitter
 from truearm.record.session_writer import SessionWriter
 from truearm.session.frames import Ident, parse_ident
 from truearm.session.session_file import Messages, Session, open_session

@@ -18,8 +18,8 @@ from pathlib import Path
 import cbor2
 from cobs import cobs
 
-from truearm.record.frame_splitter import FrameSplitter
 from truearm.record.links import HostClock
+from truearm.record.requests import FrameSplitter
 from truearm.record.session_writer import SessionWriter
 from truearm_sim import micropython
 from truearm_sim.box import BoxProcess, BoxSetup, Grant

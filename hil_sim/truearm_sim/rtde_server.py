@@ -1,7 +1,7 @@
 """The controller's side of RTDE: the World's robot on the port of a Universal Robots controller.
 
 It implements protocol version 2 of the public description as far as needed to read outputs; the bytes are in
-``truearm.record.robots.rtde_packages``. The output fields are those that readers of robots request; fields without a
+``truearm.record.robots.rtde``. The output fields are those that readers of robots request; fields without a
 value in the World are zero. Inputs (fields that a client would write) are rejected. There is one client at a time, as
 in ``Port``.
 """
@@ -14,7 +14,7 @@ from itertools import chain
 
 import numpy as np
 
-from truearm.record.robots import rtde_packages as rtde
+from truearm.record.robots import rtde
 from truearm_sim.robot import States
 
 from .ports import Port
@@ -91,16 +91,16 @@ class RtdeServer:
 
     def _answer(self, kind: int, payload: bytes) -> bytes:
         if kind == rtde.VERSION:
-            return rtde.package(kind, bytes([payload == b"\0\2"]))
+            return rtde.packed(kind, bytes([payload == b"\0\2"]))
         if kind == rtde.CONTROLLER:
-            return rtde.package(kind, b"".join(number.to_bytes(4, "big") for number in CONTROLLER))
+            return rtde.packed(kind, b"".join(number.to_bytes(4, "big") for number in CONTROLLER))
         if kind == rtde.OUTPUTS:
-            return rtde.package(kind, self._set_up(payload))
+            return rtde.packed(kind, self._set_up(payload))
         if kind in (rtde.START, rtde.PAUSE):
             accepted = self._recipe is not None
             self.running = accepted and kind == rtde.START
-            return rtde.package(kind, bytes([accepted]))
-        return rtde.package(rtde.TEXT, _text(f"package type {kind} is not served"))
+            return rtde.packed(kind, bytes([accepted]))
+        return rtde.packed(rtde.TEXT, _text(f"package type {kind} is not served"))
 
     def _set_up(self, payload: bytes) -> bytes:
         """Accept an output recipe; return the answer's payload."""
@@ -120,7 +120,7 @@ class RtdeServer:
             return b""
         columns = [self._values(name, states)[rows].reshape(len(rows), -1).tolist() for name in self._recipe.places]
         numbers = (chain([self._recipe.number], *row) for row in zip(*columns, strict=True))
-        return b"".join(rtde.package(rtde.DATA, self._recipe.layout.pack(*row)) for row in numbers)
+        return b"".join(rtde.packed(rtde.DATA, self._recipe.layout.pack(*row)) for row in numbers)
 
     def _values(self, name: str, states: States) -> np.ndarray:
         """Return the values (m,) or (m, n) of a field, one row for each state."""

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from truearm.record.joint_lines import END
+from truearm.record.intake import END
 from truearm.record.links import HostClock
 
 from .ports import Port, Terminal

@@ -14,7 +14,7 @@ import pytest
 from truearm.cli.main import main
 from truearm.kinds.rig_file import format_rig
 from truearm.kinds.table import ObservationTable
-from truearm.record import ports
+from truearm.record import links
 from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Floats, Plan, Rig
@@ -142,4 +142,4 @@ def short_session(tmp_path_factory) -> Recorded:
 @pytest.fixture
 def no_ports(monkeypatch):
     """Simulate a computer with nothing plugged in."""
-    monkeypatch.setattr(ports.list_ports, "comports", lambda: [])
+    monkeypatch.setattr(links.list_ports, "comports", lambda: [])

@@ -15,7 +15,8 @@ from truearm.cli.main import main
 from truearm.errors import InputError
 from truearm.model.robot_file import RobotChoice
 from truearm.record.robots.sources import FileOptions, readings_of_file
-from truearm.record.session_writer import SessionWriter, copy_head, read_anchor
+from truearm.record.session_copies import copy_head
+from truearm.record.session_writer import SessionWriter, read_anchor
 from truearm.session.session_file import open_session
 from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm.workflows.session_files import joint_names

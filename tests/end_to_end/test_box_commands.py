@@ -148,12 +148,12 @@ class Port:
 def test_boxes_are_listed_by_their_usb_identity(monkeypatch, printed):
     with served(pty=True) as (device, _, _):
         found = [Port("/dev/ttyS0", None, None, None), Port("/dev/ttyUSB0", 0x0403, 0x6001, "FT232R"), Port(device)]
-        monkeypatch.setattr(ports.list_ports, "comports", lambda: found)
+        monkeypatch.setattr(links.list_ports, "comports", lambda: found)
         (line,) = printed("box", "list").splitlines()  # a stranger's serial port is not even opened
         assert re.fullmatch(
             rf"{device} \(2e8a:0005 Board in FS mode\): truearm box \w+, firmware {re.escape(__version__)} on vm", line
         )
-        monkeypatch.setattr(ports.list_ports, "comports", lambda: [Port(device), Port("/dev/gone")])
+        monkeypatch.setattr(links.list_ports, "comports", lambda: [Port(device), Port("/dev/gone")])
         rows = json.loads(printed("box", "list", "--json"))["ports"]
         gone, there = sorted(rows, key=lambda row: row["device"] == device)
         assert (gone["device"], there["device"]) == ("/dev/gone", device)

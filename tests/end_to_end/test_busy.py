@@ -12,11 +12,9 @@ from tests.end_to_end.conftest import truearm
 from tests.end_to_end.test_real_time import Simulator
 from tests.wire_frames import data_frame
 
-from truearm.record.links import HostClock, backlog_of
+from truearm.record.links import BoxPort, HostClock, Reopening, backlog_of
 from truearm.record.operator import Operator
-from truearm.record.ports import BoxPort
 from truearm.record.recorder import RecordOptions, record
-from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
 from truearm.session.clock import fit_clock
 from truearm.session.session_file import open_session

@@ -9,7 +9,7 @@ from record_live import box
 
 from truearm.box.control import Sent
 from truearm.box.monitor import Watch, clock_words, rows_of
-from truearm.record.frame_splitter import FrameCount
+from truearm.record.requests import FrameCount
 from truearm_wire.messages import TEMPERATURE
 
 CALIBRATED = {"unit": "m", "poly": [[0, 0], [4, -2]], "serial": "", "date": "2026-01-01", "temperature_mdegc": 21_000}

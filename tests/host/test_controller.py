@@ -24,7 +24,7 @@ from truearm.model.chain import point_forward
 from truearm.model.controller_kinematics import kinematics_of_conf, kinematics_of_info, kinematics_of_yaml
 from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.robot_file import load_robot
-from truearm.record.robots import ur_primary
+from truearm.record.robots import rtde
 from truearm.session.session_file import open_session
 from truearm.workflows.controller_model import controller_state, controller_text
 
@@ -39,7 +39,7 @@ def controller(monkeypatch):
 
     def start(data, **how):
         started.append(Controller(data, **how))
-        monkeypatch.setattr(ur_primary, "PORT", started[-1].port)
+        monkeypatch.setattr(rtde, "PRIMARY_PORT", started[-1].port)
         return "rtde://127.0.0.1"
 
     yield start
@@ -165,10 +165,10 @@ def test_what_is_no_controller_is_an_error_of_one_line_and_writes_nothing(run, t
 
 
 def test_a_controller_that_sends_no_kinematics_ends_after_a_time(controller, monkeypatch):
-    monkeypatch.setattr(ur_primary, "ANSWER_S", 0.2)
+    monkeypatch.setattr(rtde, "ANSWER_S", 0.2)
     began = time.monotonic()
     with pytest.raises(LinkError, match="no kinematics"):
-        ur_primary.kinematics_info(controller(state(bytes(60), kind=6), stays=True))
+        rtde.kinematics_info(controller(state(bytes(60), kind=6), stays=True))
     assert time.monotonic() - began < 2.0
 
 

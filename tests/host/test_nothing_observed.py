@@ -8,7 +8,7 @@ import pytest
 from test_relabel import ROBOT, plan, recorded, right
 
 from truearm.cli.main import main
-from truearm.record.recover import recover
+from truearm.record.session_copies import recover
 from truearm.session.session_file import open_session
 from truearm.workflows import relabel
 from truearm.workflows.recorded_session import SETUP, nothing_observed, recorded_model

@@ -22,7 +22,7 @@ from tests.refusals import refused
 
 from truearm.errors import SessionError
 from truearm.record.recorder import RecordOptions, record
-from truearm.record.recover import recover
+from truearm.record.session_copies import recover
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 

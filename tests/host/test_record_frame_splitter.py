@@ -10,13 +10,8 @@ from hypothesis import strategies as st
 from record_box import array, data, frame, run_of, u32, u64
 from tests.wire_frames import data_frame
 
-from truearm.record.frame_splitter import (
-    MAX_RUN,
-    FrameCount,
-    FrameSplitter,
-    Runs,
-    frame_of,
-)
+from truearm.record.links import Runs
+from truearm.record.requests import MAX_RUN, FrameCount, FrameSplitter, frame_of
 from truearm.session.frames import decode, is_echo
 
 VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"

@@ -14,8 +14,8 @@ from record_real import box_on_a_socket, serve_robot
 from test_record_command import RIG
 
 from truearm.cli.main import main
-from truearm.record.frame_splitter import frame_of
 from truearm.record.links import HostClock
+from truearm.record.requests import frame_of
 from truearm.session.session_file import open_session
 from truearm_wire.messages import HEARTBEAT
 

@@ -9,9 +9,7 @@ import time
 import pytest
 
 from truearm.errors import InputError, LinkClosed, LinkError
-from truearm.record.links import HostClock, SerialLink, TcpLink, parse_address
-from truearm.record.ports import BoxPort
-from truearm.record.reopening import PAUSE_S, Reopening
+from truearm.record.links import PAUSE_S, BoxPort, HostClock, Reopening, SerialLink, TcpLink, parse_address
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
 PATIENCE_S = 10.0  # only a broken link waits so long

@@ -14,8 +14,7 @@ from tests.refusals import shown
 
 from truearm.cli.main import main
 from truearm.errors import LinkError
-from truearm.record.links import Backlog
-from truearm.record.reopening import Reopening
+from truearm.record.links import Backlog, Reopening
 from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import open_session
 
@@ -65,7 +64,7 @@ class TestBox:
         lab, box = real_time_box()
         usb = OnTerminals(box, lab)
         first = usb.device
-        monkeypatch.setattr("truearm.record.ports.list_ports.comports", usb.ports)
+        monkeypatch.setattr("truearm.record.links.list_ports.comports", usb.ports)
         held = []
 
         def handle():

@@ -107,7 +107,7 @@ class TestEarlier:
 
     def test_a_damaged_file_that_is_continued_is_named(self, tmp_path, monkeypatch, capsys):
         """Other commands refuse it, and what recover makes of it does not name its further parts."""
-        monkeypatch.setattr("truearm.record.ports.list_ports.comports", list)
+        monkeypatch.setattr("truearm.record.links.list_ports.comports", list)
         path = session(tmp_path / "s.mcap", ("dwell", {"pose": 0}))
         for damaged in (False, True):
             if damaged:

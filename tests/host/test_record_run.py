@@ -14,7 +14,7 @@ from record_files import Watching, events, received, run, topics
 from record_real import box_on_a_socket, line_of
 from tests.host.tcp_peer import Peer
 
-from truearm.record.joint_lines import MAX_LINE
+from truearm.record.intake import MAX_LINE
 from truearm.record.links import Backlog
 from truearm.record.recorder import RecordOptions
 from truearm.record.requests import CTRL_C, Requests

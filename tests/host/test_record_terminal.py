@@ -198,7 +198,7 @@ class TestWhichBox:
             port("/dev/ttyS0", None, None, None),
             port("/dev/ttyACM0", serial="E1"),
         ]
-        monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: ports)
+        monkeypatch.setattr("truearm.record.links.list_ports.comports", lambda: ports)
         assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 2
         complaint = capsys.readouterr().err
         boxes = ["/dev/ttyACM0 (truearm, serial E1)", "/dev/ttyACM1 (truearm, serial E2)"]
@@ -206,7 +206,7 @@ class TestWhichBox:
         assert complaint.count("\n") == 1
 
     def test_the_only_one(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/none")])
+        monkeypatch.setattr("truearm.record.links.list_ports.comports", lambda: [port("/dev/none")])
         assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 1
         said = capsys.readouterr().err
         assert "box: /dev/none (truearm, serial E66)" in said

@@ -17,7 +17,7 @@ from ros_bags import joint_state, write_bag
 from tcp_peer import Played
 
 from truearm.errors import InputError, LinkError
-from truearm.record.joint_lines import MAX_LINE
+from truearm.record.intake import MAX_LINE
 from truearm.record.robots import rtde
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.robots.text_lines import LineDialect, LinesLink

@@ -17,7 +17,7 @@ from tests.refusals import shown
 
 from truearm.cli.main import main
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError, TableError
-from truearm.record.joint_lines import MAX_LINE
+from truearm.record.intake import MAX_LINE
 from truearm.record.links import HostClock
 from truearm.record.robots.joint_table import read_columns, readings
 from truearm.record.robots.sources import FileOptions, open_source

@@ -21,7 +21,7 @@ from tests.host.tcp_peer import Peer
 from truearm.cli.main import main
 from truearm.errors import InputError, LinkError
 from truearm.record.links import HostClock
-from truearm.record.robots import rtde_packages as rtde
+from truearm.record.robots import rtde
 from truearm.record.robots.rtde import RtdeLink
 from truearm.session.joint_format import parse_line, unpack
 
@@ -69,10 +69,10 @@ ALL_TYPES = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,UINT64,INT32,UINT32"
 
 class TestBytes:
     def test_requests_answers_and_vectors(self):
-        assert rtde.package(rtde.CONTROLLER) == CONTROLLER
+        assert rtde.packed(rtde.CONTROLLER) == CONTROLLER
         assert rtde.request_outputs(["actual_q", "actual_qd"], 500.0) == SETUP_500
-        assert rtde.package(rtde.START) == START
-        assert rtde.package(rtde.PAUSE) == PAUSE
+        assert rtde.packed(rtde.START) == START
+        assert rtde.packed(rtde.PAUSE) == PAUSE
         stream = VERSION_ACCEPTED + CONTROLLER_5_8 + SETUP_TYPES + STARTED + DATA
         kinds, payloads = zip(*rtde.Packages().push(stream), strict=True)
         assert bytes(kinds) == b"VvOSU"

@@ -17,7 +17,7 @@ from record_box import MS, SECOND, Lab
 from tests.refusals import refused
 
 from truearm.errors import InputError, SessionError
-from truearm.record.recover import recover
+from truearm.record.session_copies import recover
 from truearm.record.session_writer import CHUNK_NS, SessionWriter
 from truearm.session.session_file import MAX_CHUNK_BYTES, open_session
 from truearm.types import Message

@@ -27,12 +27,11 @@ from session_stream import BLOCK, PERIOD_NS, Box, ident_document
 from tests.wire_frames import data_frame
 
 from truearm.errors import TruearmError
-from truearm.record.box_storage import BoxStorage
+from truearm.record.intake import BoxStorage
 from truearm.record.operator import Counters
-from truearm.record.recover import recover
 from truearm.record.requests import Requests
-from truearm.record.session_schemas import PREVIEW
-from truearm.record.session_writer import SessionWriter
+from truearm.record.session_copies import recover
+from truearm.record.session_writer import PREVIEW, SessionWriter
 from truearm.session.frames import parse_ident
 from truearm.session.joint_format import COLUMNS
 from truearm.session.session_file import open_session

@@ -13,9 +13,8 @@ from session_stream import columns_of
 from test_session_joint_readings import assert_same
 from tests.refusals import refused
 
-from truearm.record.recover import recover
-from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import AddedReading
+from truearm.record.session_copies import add_readings, recover
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, concatenate, pack, parse_line, parse_lines, unpack
 from truearm.session.joint_readings import JointReader

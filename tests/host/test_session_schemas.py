@@ -14,7 +14,7 @@ from record_files import run
 
 from truearm.record.operator import Operator, OperatorEvent
 from truearm.record.recorder import RecordOptions
-from truearm.record.session_schemas import encodings_of
+from truearm.record.session_writer import encodings_of
 
 TYPES = {
     "integer": int,

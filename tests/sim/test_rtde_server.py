@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truearm.record.robots import rtde_packages as rtde
+from truearm.record.robots import rtde
 from truearm.record.robots.rtde import PORT
 from truearm_sim.ports import Port
 from truearm_sim.rtde_server import RtdeServer
@@ -134,7 +134,7 @@ class TestProtocol:
         server = RtdeServer(Asked(), 500.0)
         ((kind, payload),) = ask(server, rtde.request_outputs(["timestamp", "no_such"], 500.0))
         assert (kind, payload) == (rtde.OUTPUTS, b"\0DOUBLE,NOT_FOUND")
-        assert ask(server, rtde.package(rtde.START)) == [(rtde.START, b"\0")]
+        assert ask(server, rtde.packed(rtde.START)) == [(rtde.START, b"\0")]
 
     def test_another_version_is_refused(self):
         assert ask(RtdeServer(Asked(), 500.0), bytes.fromhex("0005560001")) == [(rtde.VERSION, b"\0")]
@@ -143,10 +143,10 @@ class TestProtocol:
         server = RtdeServer(Asked(), 500.0)
         set_up = rtde.request_outputs(["timestamp"], 100.0)
         ask(server, set_up)
-        told = ask(server, rtde.package(rtde.START), until_ns=1_000_000_000)
+        told = ask(server, rtde.packed(rtde.START), until_ns=1_000_000_000)
         assert told[0] == (rtde.START, b"\1")
         assert len(told) == pytest.approx(101, abs=1)
-        assert ask(server, rtde.package(rtde.PAUSE), until_ns=1_000_000_000) == [(rtde.PAUSE, b"\1")]
+        assert ask(server, rtde.packed(rtde.PAUSE), until_ns=1_000_000_000) == [(rtde.PAUSE, b"\1")]
 
     @settings(max_examples=200, deadline=None)
     @given(
@@ -154,7 +154,7 @@ class TestProtocol:
     )
     def test_any_requests(self, packages, rest):
         server = RtdeServer(Asked(), 500.0)
-        requests = [rtde.package(kind, payload) for kind, payload in packages]
+        requests = [rtde.packed(kind, payload) for kind, payload in packages]
         told = ask(server, *requests, rest, until_ns=100_000_000)
         assert [kind for kind, _ in told if kind != rtde.DATA][: len(packages)] == [
             kind if kind in b"VvOSP" else rtde.TEXT for kind, _ in packages
@@ -164,7 +164,7 @@ class TestProtocol:
     def test_impossible_rates(self, hz):
         """Refused, or as fast as the controller can."""
         server = RtdeServer(Asked(), 500.0)
-        told = ask(server, rtde.request_outputs(["timestamp"], hz), rtde.package(rtde.START), until_ns=100_000_000)
+        told = ask(server, rtde.request_outputs(["timestamp"], hz), rtde.packed(rtde.START), until_ns=100_000_000)
         assert len(told) == (2 if not hz >= 1.0 else 52)
 
     def test_rubbish_ends_the_connection(self):

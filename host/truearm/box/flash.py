@@ -28,7 +28,7 @@ from truearm.disk import read_bytes, read_text
 from truearm.errors import Argument, ImageError, InputError, LinkError
 from truearm.findings import Finding
 from truearm.progress import step
-from truearm.record.ports import usb_ports
+from truearm.record.links import usb_ports
 from truearm.session.frames import Ident
 from truearm.version import VERSION
 from truearm_wire.messages import BOOT_LOADER

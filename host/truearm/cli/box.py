@@ -26,7 +26,7 @@ from truearm.errors import ConfigError, InputError, TruearmError
 from truearm.exit_codes import ExitCode
 from truearm.findings import Finding, entries, option, ordered
 from truearm.live.choose_box import choose_box
-from truearm.record.ports import usb_ports
+from truearm.record.links import usb_ports
 from truearm_wire.messages import RESTART
 
 SHOW_S, PLAIN_S = 0.5, 1.0  # between two views of the monitor

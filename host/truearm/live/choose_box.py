@@ -13,7 +13,7 @@ def choose_box(device: str | None, output: TextIO) -> str:
 
     Raises LinkError if there is none, InputError if there are several.
     """
-    from truearm.record.ports import find_boxes
+    from truearm.record.links import find_boxes
 
     if device is not None:
         return device

@@ -1,4 +1,4 @@
-"""Links to a box or a robot: bytes with the host's arrival time, and the clock that stamps them.
+"""Links to a box or a robot: bytes with the host's arrival time, the clock that stamps them, and ports that may be boxes.
 
 The recorder only knows ``Link`` and ``Clock``. It uses no other clock and waits only in ``Link.read``, so the simulator
 can supply virtual time. A real link reads in a thread of its own: bytes are stamped on arrival, not when the recorder
@@ -15,11 +15,15 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 from urllib.parse import parse_qsl, urlsplit
 
 import serial
+from serial.tools import list_ports
 
 from truearm.errors import InputError, LinkClosed, LinkError
 
@@ -314,3 +318,181 @@ def parse_address(
         form = f"{scheme}://host{'' if port else ':port'}, such as {scheme}://127.0.0.1{'' if port else ':7007'}"
         raise InputError("wrong-value", place="address", value=url, form=form)
     return host, number, dict(options)
+
+
+class Runs:
+    """The runs of bytes between delimiters in a stream that arrives in arbitrary pieces.
+
+    A run beyond ``limit`` is returned in pieces, so memory stays below the limit and one piece of the stream.
+    """
+
+    def __init__(self, delimiter: bytes, limit: int) -> None:
+        self._delimiter = delimiter
+        self._limit = limit
+        self._remainder = b""
+        self._overlong = False  # part of the run in ``_remainder`` has been returned already
+
+    def push(self, data: bytes) -> list[tuple[bool, bytes]]:
+        """Return ``(whole, bytes)`` for every run finished by ``data``; pieces of a run beyond the limit are not whole."""
+        *runs, self._remainder = (self._remainder + data).split(self._delimiter)
+        items: list[tuple[bool, bytes]] = []
+        for run in runs:
+            if self._overlong or len(run) > self._limit:
+                items += self._pieces(run)
+                self._overlong = False
+            elif run:
+                items.append((True, run))
+        if len(self._remainder) > self._limit:
+            items += self._pieces(self._remainder)
+            self._overlong, self._remainder = True, b""
+        return items
+
+    def flush(self) -> bytes:
+        """Return what follows the last delimiter when the stream has ended."""
+        remainder, self._remainder, self._overlong = self._remainder, b"", False
+        return remainder
+
+    def _pieces(self, run: bytes) -> list[tuple[bool, bytes]]:
+        return [(False, run[k : k + self._limit]) for k in range(0, len(run), self._limit)]
+
+
+# ------------------------------------------------------------------------------------------------- links that come back
+
+PAUSE_S = 0.25  # between attempts; a newly connected box takes about one second to show its port
+
+
+class Reopening:
+    """Opens a link with ``open_link`` now, and again with ``reopen`` after it was lost.
+
+    It tries in a thread, because an unreachable address can block the caller for seconds. Raises what ``open_link`` raises
+    now.
+    """
+
+    def __init__(self, open_link: Callable[[], Link]) -> None:
+        self._open = open_link
+        self._link: Link | None = open_link()
+        self._opening: Future[Link] | None = None
+        self._held_up = self._foreign = 0  # of the previous links
+        self.name = self._link.name
+        self.numeric = getattr(self._link, "numeric", False)
+
+    def read(self, timeout_s: float) -> Arrivals:
+        return self._opened().read(timeout_s)
+
+    def write(self, data: bytes) -> int:
+        return self._opened().write(data)
+
+    def reopen(self, timeout_s: float) -> bool:
+        """Return whether the link is back, waiting up to ``timeout_s``; attempts continue between calls."""
+        if self._opening is None:
+            self.close()
+            self._opening = Future()
+            threading.Thread(target=_reopen, args=(self._open, self._opening), daemon=True).start()
+        try:
+            link = self._opening.result(timeout_s)
+        except TimeoutError:
+            return False
+        self._opening, self._link, self.name = None, link, link.name
+        return True
+
+    def close(self) -> None:
+        if self._opening is not None:
+            if not self._opening.cancel():
+                self._opening.result().close()
+            self._opening = None
+        if self._link is not None:
+            link, self._link = self._link, None
+            backlog = backlog_of(link)
+            self._held_up, self._foreign = self._held_up + backlog.held_up, self._foreign + backlog.foreign
+            link.close()
+
+    @property
+    def backlog(self) -> Backlog:
+        """Return the backlog of the open link, with the counts of all links."""
+        current = Backlog() if self._link is None else backlog_of(self._link)
+        return current._replace(held_up=current.held_up + self._held_up, foreign=current.foreign + self._foreign)
+
+    def _opened(self) -> Link:
+        if self._link is None:
+            raise LinkError(f"{self.name}: the link is closed")
+        return self._link
+
+
+def _reopen(open_link: Callable[[], Link], opening: Future[Link]) -> None:
+    """Try until a link is open; if nobody wants it any more, it is closed."""
+    while not opening.cancelled():
+        try:
+            link = open_link()
+        except (LinkError, InputError):
+            time.sleep(PAUSE_S)
+            continue
+        if opening.set_running_or_notify_cancel():
+            opening.set_result(link)
+        else:
+            link.close()
+        return
+
+
+# --------------------------------------------------------------------------------------------------------- a box's port
+
+# Raspberry Pi's vendor number; its products with a serial port are MicroPython and programs made with the Pico SDK.
+VENDOR = 0x2E8A
+PRODUCTS = {0x0005: "MicroPython", 0x000A: "Pico SDK", 0x0009: "Pico SDK (RP2350)"}
+
+
+@dataclass(frozen=True)
+class UsbPort:
+    """A serial port. ``usb`` is "2e8a:0005", or "" if it is not on USB; ``candidate``: it may be a box."""
+
+    device: str
+    usb: str
+    serial: str
+    product: str
+    candidate: bool
+
+
+def usb_ports() -> list[UsbPort]:
+    """Return all serial ports of this machine, possible boxes first."""
+    ports = [
+        UsbPort(
+            device=port.device,
+            usb="" if port.vid is None else f"{port.vid:04x}:{port.pid:04x}",
+            serial=port.serial_number or "",
+            product=port.product or PRODUCTS.get(port.pid or 0, "") or port.description or "",
+            candidate=port.vid == VENDOR and port.pid in PRODUCTS,
+        )
+        for port in list_ports.comports()
+    ]
+    return sorted(ports, key=lambda port: (not port.candidate, port.device))
+
+
+def find_boxes() -> list[UsbPort]:
+    """Return the ports that may be boxes, in order of their names."""
+    return [port for port in usb_ports() if port.candidate]
+
+
+class BoxPort:
+    """Opens a box's port, and later the port with the same USB identity: a reconnected box may get another name.
+
+    ``device`` is its last name. Without an identity (a socket, a pseudo-terminal), only the name is used.
+    """
+
+    def __init__(self, device: str, clock: Clock) -> None:
+        self.device = device
+        self._clock = clock
+        self._identity = next((_identity(port) for port in usb_ports() if port.device == device), None)
+
+    def __call__(self) -> SerialLink:
+        """Open the port. Raises LinkError and InputError as ``SerialLink`` does, and LinkError if no port has the
+        identity.
+        """
+        if self._identity is not None:
+            names = [port.device for port in usb_ports() if _identity(port) == self._identity]
+            if not names:
+                raise LinkError("no-box", place=self.device)
+            self.device = names[0]
+        return SerialLink(self.device, self._clock)
+
+
+def _identity(port: UsbPort) -> tuple[str, str] | None:
+    return (port.usb, port.serial) if port.usb and port.serial else None

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from truearm.errors import LinkError, ProtocolError, RefusedError, TruearmError
-from truearm.record.box_storage import BoxStorage
-from truearm.record.joint_lines import EXPECTED, RobotIntake
+from truearm.record.intake import EXPECTED, BoxStorage, RobotIntake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Counters, Operator, RecordSummary, Status
 from truearm.record.requests import SECOND, Requests

@@ -1,10 +1,14 @@
-"""Send requests to the box until they are answered; without any byte that would stop a booting box.
+"""A box behind a link: split the bytes that it sends into frames (SPEC §1), and send it requests until they are answered.
+
+Nothing that arrives is lost. The stream is split at the delimiters. A run between two delimiters is a frame if it decodes
+as COBS, its CRC matches and it is an array that begins with a type and a frame count, as a reader of sessions demands
+(``session/frames.py``). Any other run is console text, such as a traceback or a damaged frame. A frame of a type that only
+the host sends is also treated as console text: a prompt or a terminal echoes its input. Empty runs are dropped.
 
 The box may still remember a command of an earlier session by its id (SPEC §6), so ids are drawn at random. For two
 seconds after power-on, a Pico treats byte 3 as Ctrl-C, which leads to MicroPython's prompt, where the box would stay:
-ids that would give such a byte anywhere in the frame are drawn again.
-
-A request is repeated with the same id until it is answered; the box treats repetitions as one request.
+ids that would give such a byte anywhere in the frame are drawn again. A request is repeated with the same id until it is
+answered; the box treats repetitions as one request.
 """
 
 from __future__ import annotations
@@ -12,13 +16,81 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping
 from typing import Any
+from zlib import crc32
+
+from cobs import cobs
 
 from truearm.errors import LinkError, ProtocolError, RefusedError
-from truearm.record.links import Clock, Link
-from truearm.session.frames import Ident, Pages, decode_ident
+from truearm.record.links import Clock, Link, Runs
+from truearm.session.frames import Ident, Pages, decode, decode_ident, is_echo
 from truearm_wire import messages as wire
 from truearm_wire.frame import frame
 from truearm_wire.messages import encode_payload
+
+MAX_RUN = 4096  # bytes; a longer run is not a frame and is returned in pieces
+_ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stuffing
+_SEQ_END, _SEQ_HALF = 2**32, 2**31
+
+
+class FrameCount:
+    """Counts the frames that a link lost, and those behind the count, by the frames' own count (SPEC §4).
+
+    A frame ahead of the count shows a loss, unless the next frame does not follow it: then its count was wrong (SPEC §1).
+    """
+
+    def __init__(self) -> None:
+        self.lost = self.odd = 0
+        self._next: int | None = None
+        self._jump = 0  # of the last frame
+
+    def clear(self) -> None:
+        """Count from the next frame on."""
+        self._next = None
+
+    def take(self, seq: int) -> bool:
+        """Count a frame; return whether it continues the count."""
+        ahead = 0 if self._next is None else (seq - self._next + _SEQ_HALF) % _SEQ_END - _SEQ_HALF
+        if ahead < 0:
+            self.odd += 1
+            skipped = ahead + self._jump + 1  # since the frame before the last one
+            if skipped < 0 or ahead == -1:
+                return False
+            ahead, self.lost = skipped, self.lost - self._jump
+        self.lost += ahead
+        self._next, self._jump = seq + 1, ahead
+        return True
+
+
+class FrameSplitter:
+    """Frames and console bytes of a stream, in order. Takes about 4 µs per frame of 200 bytes."""
+
+    def __init__(self) -> None:
+        self._runs = Runs(b"\0", MAX_RUN)
+
+    def push(self, data: bytes) -> list[tuple[list[Any] | None, bytes]]:
+        """Return the elements and the payload of each frame, and None and the bytes of any other run."""
+        return [frame_of(run) if is_whole else (None, run) for is_whole, run in self._runs.push(data)]
+
+    def flush(self) -> bytes:
+        """Return the bytes after the last delimiter when the stream has ended or was cut."""
+        return self._runs.flush()
+
+
+def frame_of(run: bytes) -> tuple[list[Any] | None, bytes]:
+    """Return the elements and the payload of the bytes between two delimiters; None and the bytes if they are no frame."""
+    if _ENCODED_MIN <= len(run) <= _ENCODED_MAX:
+        try:
+            raw: bytes = cobs.decode(run)
+        except cobs.DecodeError:
+            return None, run
+        payload = raw[:-4]
+        frame = decode(payload) if crc32(payload) == int.from_bytes(raw[-4:], "little") else None
+        if frame is not None and not is_echo(frame):
+            return frame, payload
+    return None, run
+
+
+# ------------------------------------------------------------------------------------------------------------- requests
 
 SECOND = 1_000_000_000
 RETRY_NS = SECOND // 2

@@ -20,24 +20,170 @@ import io
 import json
 import os
 import sys
+import tempfile
 import time
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import reduce
+from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
 from truearm.errors import InputError, WriteError
-from truearm.record.file_watch import content_crc, file_loss, rescued_file
 from truearm.record.links import Clock
-from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.record.write_lock import hold
-from truearm.session.joint_format import COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
-from truearm.session.session_file import CHANNELS, CRC, LATEST_NS, PLAN_COPY, Session, metadata_crc
+from truearm.session.joint_format import ARRAYS, COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
+from truearm.session.session_file import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 from truearm.version import VERSION
+from truearm_wire import messages as wire
+
+PREVIEW = "/preview/"  # followed by a stream's name
+ROBOT_PREVIEW = "/robot/preview"
+PREVIEW_NS = 100_000_000  # between two values displayed
+
+_INTEGER, _NUMBER, _TEXT, _BOOLEAN = ({"type": name} for name in ("integer", "number", "string", "boolean"))
+_NUMBERS = {"type": "array", "items": _NUMBER}
+_MOUNTED = dict.fromkeys((*BAR_MOUNTED, "shell", *LINE_MOUNTED), _TEXT)
+_LINE = {
+    **{"t": _NUMBER, "seq": _INTEGER},
+    **dict.fromkeys(("q", *ARRAYS), _NUMBERS),
+    **dict.fromkeys(("inputs", "robot_mode", "runtime_state"), _INTEGER),
+    **{"line": _TEXT, "arrival": _BOOLEAN},
+}
+_JSON: dict[str, dict[str, Any]] = {
+    "/sync": dict.fromkeys(("id", "t0_ns", "t1_us", "t2_us", "t3_ns"), _INTEGER),
+    **dict.fromkeys((JOINTS, ROBOT_PREVIEW), _LINE),
+    "/events": {
+        "kind": _TEXT,
+        **_MOUNTED,
+        **dict.fromkeys(("text", "reason", "device"), _TEXT),
+        **dict.fromkeys(("begin_ns", "end_ns", "heard_ns", "pose", "lost", "boot_id", "boot_id_before"), _INTEGER),
+        **dict.fromkeys(("mean_m", "noise_m", "away_s"), _NUMBER),
+        "settled": _BOOLEAN,
+    },
+    "/plan": {"pose": _INTEGER, "move": _TEXT, **_MOUNTED, "speed_m_s": _NUMBER, "q": _NUMBERS},
+}
+_FRAMES = (
+    *(wire.DATA, wire.EVENT, wire.HEARTBEAT, wire.IDENT, wire.TEMPERATURE, wire.SYNC_REPLY, wire.REPLY, wire.ERROR),
+)
+_COLUMNS = """; n readings of j joints: those since the last such message
+columns = {"arrival_ns": ints, "t": floats, "seq": ints, "q": floats, * text => ints / floats}
+floats = #6.86(bytes) ; RFC 8746 float64, little endian
+ints = #6.79(bytes)   ; RFC 8746 sint64, little endian
+"""
+_BYTES = "received bytes that are not a frame or a reading, exactly as they came"
+
+
+class Encodings(NamedTuple):
+    """A channel's encoding, and the name, encoding and data of its schema."""
+
+    message: str
+    name: str
+    schema: str
+    data: str
+
+
+def encodings_of(topic: str, first: bytes) -> Encodings:
+    """Return the encodings of a topic, given its first message (docs/reference/session-format.md).
+
+    PlotJuggler looks up every channel's schema. Foxglove reads JSON with a JSON schema in which every property has one
+    type; it does not support CBOR.
+    """
+    if topic in ("/box/console", "/robot/console"):
+        return Encodings("application/octet-stream", "truearm/bytes", "text/plain", _BYTES)
+    if topic in (COLUMNS, READINGS):
+        return Encodings("cbor", "truearm" + topic, "cddl", _COLUMNS)
+    if topic.startswith("/box/"):
+        return Encodings("cbor", "truearm" + topic, "cddl", _grammar())
+    properties = _JSON.get(topic, {})
+    if topic.startswith(PREVIEW):
+        properties = dict.fromkeys(json.loads(first), _NUMBER)
+    return Encodings("json", "truearm" + topic, "jsonschema", json.dumps({"type": "object", "properties": properties}))
+
+
+def _grammar() -> str:
+    """Return the CDDL (RFC 8610) of a box's frames; protocol/SPEC.md §4 explains them. ``/box/other`` has others too."""
+    frames = (
+        f"[{', '.join([str(kind), *(f'{name}: any' for name in wire.names(kind)), '* any'])}]" for kind in _FRAMES
+    )
+    return f"frame = {' / '.join(frames)}\n"
+
+
+# ------------------------------------------------------------------------------------------- what others do to the file
+
+COPIED_BYTES = 1 << 20  # per step
+
+
+def file_loss(file: BinaryIO, path: Path, size: int) -> str:
+    """Return what happened to ``file``, opened at ``path`` with ``size`` bytes written; "" if nothing.
+
+    It is "truncated", "renamed", "deleted" or "replaced". A POSIX system keeps a deleted file for as long as it is open, so
+    all of it can still be copied. Data lost by a truncation cannot be recovered.
+    """
+    status = os.fstat(file.fileno())
+    if status.st_size < size:
+        return "truncated"
+    try:
+        return "" if os.path.samestat(status, path.stat()) else "replaced"
+    except OSError:
+        return "renamed" if status.st_nlink else "deleted"
+
+
+def rescued_file(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
+    """Copy the first ``size`` bytes of an open file, whether or not it still has a name, to a new one named after ``path``:
+    ``session-rescued.mcap``, ``session-rescued-2.mcap`` …
+
+    It is in the folder of ``path``, which is created again if it was removed. If that is impossible or its disk is full,
+    it is in the system's folder for temporary files. Raises OSError if it cannot be written there either. A copy that is
+    not complete is removed.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return _copied(file, size, path)
+    except OSError:
+        return _copied(file, size, Path(tempfile.gettempdir()) / path.name)
+
+
+def _copied(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
+    names = (f"{path.stem}-rescued{'' if number == 1 else f'-{number}'}{path.suffix}" for number in count(1))
+    out = next(path.with_name(name) for name in names if not path.with_name(name).exists())
+    copy = out.open("x+b")
+    hold(copy)
+    try:
+        for data in _pieces(file, size):
+            copy.write(data)
+        copy.flush()
+        os.fsync(copy.fileno())
+    except OSError:
+        out.unlink()
+        with suppress(OSError):  # a full disk refuses the same bytes again
+            copy.close()
+        raise
+    return out, copy
+
+
+def _pieces(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """Yield the first ``size`` bytes of an open file. Raises OSError if it is shorter."""
+    file.seek(0)
+    while size:
+        data = file.read(min(COPIED_BYTES, size))
+        if not data:
+            raise OSError(None, "the file became shorter")
+        yield data
+        size -= len(data)
+
+
+def content_crc(file: BinaryIO, size: int) -> int:
+    """Return the CRC-32 of the first ``size`` bytes of an open file. Takes about 1 s per GB. Raises OSError if it is shorter."""
+    return reduce(lambda crc, data: zlib.crc32(data, crc), _pieces(file, size), 0)
+
+
+# ----------------------------------------------------------------------------------------------------------- the writer
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
@@ -358,15 +504,6 @@ class SessionWriter:
         text = f"{self.path}: cannot be written any more ({why}); the data already in it remain readable"
         self._failure = WriteError(text, why)
         return self._failure
-
-
-def copy_head(session: Session, writer: SessionWriter) -> None:
-    """Copy metadata and attachments, except what the writer writes itself."""
-    for name, entries in session.metadata.items():
-        if name not in ("session-end", CHANNELS):
-            writer.metadata(name, entries)
-    for name, data in session.attachments.items():
-        writer.attach(name, data)
 
 
 def _begun(out: Any) -> Writer:

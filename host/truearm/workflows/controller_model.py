@@ -25,8 +25,8 @@ from truearm.model.poses import apart, six_of
 from truearm.model.robot import CONTROLLER, Robot, parse_robot
 from truearm.model.robot_file import MAX_BYTES, RobotChoice, is_urdf, load_robot, robot_file
 from truearm.progress import step
+from truearm.record.robots.rtde import kinematics_info
 from truearm.record.robots.sources import RTDE
-from truearm.record.robots.ur_primary import kinematics_info
 from truearm.schema import load_toml, toml_text
 from truearm.types import Floats, rms
 from truearm.units import DEG, MM, SUFFIXES

@@ -22,10 +22,8 @@ from truearm.live.state import LiveState, SessionProgress, check_mounted, parse_
 from truearm.live.view import showing
 from truearm.plan.plan_file import check_against_rig, read_plan
 from truearm.record import recorder
-from truearm.record.links import HostClock
+from truearm.record.links import BoxPort, HostClock, Reopening
 from truearm.record.operator import Counters, RecordSummary
-from truearm.record.ports import BoxPort
-from truearm.record.reopening import Reopening
 from truearm.record.robots.sources import open_source
 from truearm.record.session_writer import SessionWriter
 from truearm.record.write_lock import is_held

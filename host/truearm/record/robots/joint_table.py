@@ -21,7 +21,7 @@ from typing import IO, Any
 from truearm.errors import Argument, InputError, TableError
 from truearm.file_names import open_input, reading
 from truearm.kinds.csv_cells import MAX_COLUMNS, NUMBER, Column, Row, read_header, rows_of
-from truearm.record.joint_lines import MAX_LINE
+from truearm.record.intake import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_line

@@ -1,4 +1,4 @@
-"""Universal Robots controllers as a joint source: RTDE on port 30004 (``rtde_packages``), with readings as lines.
+"""Universal Robots controllers as a joint source: RTDE on port 30004, with readings as lines.
 
 A line holds each number of a data package with all its digits: ``t`` (timestamp: seconds since the controller
 started), ``q`` (actual_q), and if the controller has them ``q_cmd`` (target_q), ``qd`` (actual_qd), ``current``
@@ -10,19 +10,144 @@ are multiples of its cycle. ``seq`` is the time since the first timestamp in per
 ``seq``.
 
 Everything else (text messages, packages of other types or lengths) is passed on as lines that are not readings, each
-with the package's type and payload, byte by byte (Latin-1); the recorder keeps them in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per second.
+with the package's type and payload, byte by byte (Latin-1); the recorder keeps them in ``/robot/console``. A package
+with all fields takes about 5 µs, at 500 per second.
+
+The kinematics of the controller come from its primary interface on port 30001 (``kinematics_info()``).
 """
 
 from __future__ import annotations
 
 import json
 import math
+import socket
+import struct
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
 
 from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.links import Arrivals, Clock, Link, LinkOnTop, TcpLink, parse_address
-from truearm.record.robots import rtde_packages as rtde
 from truearm.session.joint_format import MAX_T_S, format_reading
+
+# ------------------------------------------------------------------------------------------------------------- packages
+#
+# Protocol version 2, based on the manufacturer's public description: "Real-Time Data Exchange (RTDE) Guide",
+# docs.universal-robots.com. Everything is big-endian. A package consists of its size [2 bytes, including these three], its
+# type [1 byte, a letter] and a payload:
+#
+#     letter  client → controller                          controller → client
+#     V       version (2 bytes)                            accepted (1 byte)
+#     v       –                                            major, minor, bugfix, build (4 bytes each)
+#     O       frequency [Hz] (double), names with commas   recipe (1 byte; 0: not accepted), types with commas
+#     S, P    –                                            accepted (1 byte)
+#     U                                                    recipe (1 byte), the values in the order of the names
+#     M                                                    length (1 byte), text, length (1 byte), source, level (1 byte)
+#
+# S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND.
+
+VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
+BROKEN = 256  # not a type: data where a packed should begin
+NOT_FOUND = "NOT_FOUND"
+
+TYPES = {  # a vector is a list
+    "BOOL": "?",
+    "UINT8": "B",
+    "UINT32": "I",
+    "UINT64": "Q",
+    "INT32": "i",
+    "DOUBLE": "d",
+    "VECTOR3D": "3d",
+    "VECTOR6D": "6d",
+    "VECTOR6INT32": "6i",
+    "VECTOR6UINT32": "6I",
+}
+
+_HEAD = struct.Struct(">HB")
+
+Value = Any  # a number, or a list of them
+
+
+def packed(kind: int, payload: bytes = b"") -> bytes:
+    """Return a packed as bytes; the payload must fit (65532 bytes)."""
+    return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
+
+
+def request_outputs(names: Sequence[str], frequency_hz: float) -> bytes:
+    """Return a request for data packages of these fields; with their commas they may take MAX_NAMES_BYTES."""
+    return packed(OUTPUTS, struct.pack(">d", frequency_hz) + ",".join(names).encode())
+
+
+class Packages:
+    """Splits bytes that arrive in arbitrary pieces into packages ``(type, payload)``; holds less than 64 kB and one
+    piece.
+
+    A size below 3 is invalid. The bytes from there on are returned as BROKEN, then nothing more, and ``broken`` is
+    true.
+    """
+
+    def __init__(self) -> None:
+        self._remainder = b""
+        self.broken = False
+
+    def push(self, data: bytes) -> list[tuple[int, bytes]]:
+        """Return the packages completed by ``data``."""
+        if self.broken:
+            return []
+        packages: list[tuple[int, bytes]] = []
+        data, offset = self._remainder + data, 0
+        while offset + _HEAD.size <= len(data):
+            size, kind = _HEAD.unpack_from(data, offset)
+            if size < _HEAD.size:
+                self.broken, self._remainder = True, b""
+                return [*packages, (BROKEN, data[offset:])]
+            if offset + size > len(data):
+                break
+            packages.append((kind, data[offset + _HEAD.size : offset + size]))
+            offset += size
+        self._remainder = data[offset:]
+        return packages
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Layout of a data packed: the number of the recipe, then the fields; ``places`` are those of their values."""
+
+    number: int
+    layout: struct.Struct
+    places: Mapping[str, int | slice]
+
+    def values(self, payload: bytes) -> dict[str, Value] | None:
+        """Return the values of a data packed by name, vectors as lists; None if it does not match this recipe."""
+        if len(payload) != self.layout.size or payload[0] != self.number:
+            return None
+        _, *values = self.layout.unpack(payload)
+        return {name: values[place] for name, place in self.places.items()}
+
+
+def types_of(payload: bytes) -> list[str]:
+    """Return the types in an answer to OUTPUTS."""
+    return payload[1:].decode(errors="replace").split(",")
+
+
+def recipe_of(names: Sequence[str], payload: bytes) -> Recipe | None:
+    """Return the recipe from the answer to OUTPUTS; None if it is refused or does not match the names."""
+    types = types_of(payload)
+    if len(types) != len(names) or not payload[0] or not TYPES.keys() >= {*types}:
+        return None
+    formats = [TYPES[type_] for type_ in types]
+    ends = list(accumulate(int(form[:-1] or 1) for form in formats))
+    places = {
+        name: slice(begin, end) if form[:-1] else begin
+        for name, form, begin, end in zip(names, formats, [0, *ends], ends, strict=False)
+    }
+    return Recipe(payload[0], struct.Struct(f">B{''.join(formats)}"), places)
+
+
+# ----------------------------------------------------------------------------------------------------- the joint source
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000
@@ -60,9 +185,9 @@ class RtdeLink(LinkOnTop):
         address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         super().__init__(TcpLink(f"tcp://{address}", clock, name=url), clock)
         self.numeric = True  # the recorder stores columns in place of lines
-        self._packages = rtde.Packages()
+        self._packages = Packages()
         self._pending: Arrivals = []  # lines received during the set-up
-        self._recipe: rtde.Recipe | None = None
+        self._recipe: Recipe | None = None
         self.first_s = first_s
         try:
             self._set_up(hz)
@@ -85,15 +210,15 @@ class RtdeLink(LinkOnTop):
     def close(self) -> None:
         """Pause the stream and close the connection."""
         with suppress(LinkError):
-            self._link.write(rtde.package(rtde.PAUSE))
+            self._link.write(packed(PAUSE))
         super().close()
 
     # --- set-up
 
     def _set_up(self, hz: float | None) -> None:
-        if self._ask(rtde.VERSION, rtde.package(rtde.VERSION, b"\0\2")) != b"\1":
+        if self._ask(VERSION, packed(VERSION, b"\0\2")) != b"\1":
             raise LinkError(f"{self.name}: the controller does not speak version 2 of RTDE; update its software")
-        version = self._ask(rtde.CONTROLLER, rtde.package(rtde.CONTROLLER))
+        version = self._ask(CONTROLLER, packed(CONTROLLER))
         if len(version) != VERSION_BYTES:
             raise LinkError(f"{self.name}: the controller does not report its version; is this a Universal Robots arm?")
         full_hz = FULL_RATE_HZ[int.from_bytes(version[:4]) >= 5]
@@ -103,18 +228,18 @@ class RtdeLink(LinkOnTop):
                 f"{self.name}: give a rate that divides the controller's {full_hz:g} Hz, such as ?hz={full_hz / 4.0:g}"
             )
         self._recipe = self._agree()
-        if self._ask(rtde.START, rtde.package(rtde.START)) != b"\1":
+        if self._ask(START, packed(START)) != b"\1":
             raise LinkError(f"{self.name}: the controller refuses to send data packages; restart the controller")
 
-    def _agree(self) -> rtde.Recipe:
+    def _agree(self) -> Recipe:
         """Return the recipe of the wanted fields that the controller has."""
         names = [*NEEDED, *WANTED]
-        answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz))
-        if rtde.NOT_FOUND in (types := rtde.types_of(answer)):
-            names = [name for name, type_ in zip(names, types, strict=False) if type_ != rtde.NOT_FOUND]
-            answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz)) if {*NEEDED} <= {*names} else answer
-        recipe = rtde.recipe_of(names, answer)
-        if recipe is None or rtde.types_of(answer)[: len(NEEDED)] != list(NEEDED.values()):
+        answer = self._ask(OUTPUTS, request_outputs(names, self._hz))
+        if NOT_FOUND in (types := types_of(answer)):
+            names = [name for name, type_ in zip(names, types, strict=False) if type_ != NOT_FOUND]
+            answer = self._ask(OUTPUTS, request_outputs(names, self._hz)) if {*NEEDED} <= {*names} else answer
+        recipe = recipe_of(names, answer)
+        if recipe is None or types_of(answer)[: len(NEEDED)] != list(NEEDED.values()):
             raise LinkError(
                 f"{self.name}: the controller refuses the fields {', '.join(names)} ({answer[1:201]!r}); update its software"
             )
@@ -148,14 +273,14 @@ class RtdeLink(LinkOnTop):
     # --- packages → lines
 
     def _line(self, kind: int, payload: bytes) -> bytes:
-        values = self._recipe.values(payload) if kind == rtde.DATA and self._recipe is not None else None
+        values = self._recipe.values(payload) if kind == DATA and self._recipe is not None else None
         if values is not None and all(
             map(math.isfinite, (values["timestamp"], *values["actual_q"]))
         ):  # JSON has no others
             return self._reading(**values) + b"\n"
         return json.dumps({"rtde": kind, "payload": payload.decode("latin-1")}).encode() + b"\n"
 
-    def _reading(self, timestamp: float, actual_q: list[float], **values: rtde.Value) -> bytes:
+    def _reading(self, timestamp: float, actual_q: list[float], **values: Value) -> bytes:
         seq = None
         if 0.0 <= timestamp < MAX_T_S:  # else it is not a reading and cannot start the count
             self.first_s = timestamp if self.first_s is None else min(timestamp, self.first_s)
@@ -170,3 +295,57 @@ def address_of(url: str) -> tuple[str, int, float | None]:
     if options or not (hz is None or (hz.replace(".", "", 1).isdecimal() and 1.0 <= float(hz) <= 500.0)):
         raise InputError("wrong-value", place="address", value=url, form=EXAMPLE)
     return host, port, None if hz is None else float(hz)
+
+
+# ------------------------------------------------------------------------------------------------ the primary interface
+
+PRIMARY_PORT = 30001
+CONNECT_S, ANSWER_S = 2.0, 5.0
+PRIMARY_HEAD = 5  # bytes: size and type
+MAX_PACKAGE = 65536  # bytes; of a robot's state 1,500
+ROBOT_STATE, KINEMATICS = b"\x10", 5
+
+
+def kinematics_info(url: str) -> bytes:
+    """Return the content of KinematicsInfo of the controller at ``rtde://host``. Raises InputError, LinkError.
+
+    The controller sends packages (size int32, type uint8, content). Packages of type 16 contain sub-packages (size uint32,
+    type uint8, content). The first package after a connection contains the sub-package KinematicsInfo, type 5. Nothing is
+    sent to the controller.
+    """
+    host, _, _ = address_of(url)
+    wrong = LinkError(
+        f"{url}: port {PRIMARY_PORT} sends no data of a primary interface; is it enabled, and {host} a Universal Robots controller?"
+    )
+    try:
+        with (
+            socket.create_connection((host, PRIMARY_PORT), CONNECT_S) as connection,
+            connection.makefile("rb") as stream,
+        ):
+            connection.settimeout(ANSWER_S)
+            end = time.monotonic() + ANSWER_S
+            while time.monotonic() < end:
+                head = stream.read(PRIMARY_HEAD)
+                package = stream.read(min(max(0, int.from_bytes(head[:4]) - PRIMARY_HEAD), MAX_PACKAGE))
+                contents = sub_packages(package) if head[4:] == ROBOT_STATE else {}
+                if PRIMARY_HEAD + len(package) != int.from_bytes(head[:4]) or contents is None:
+                    raise wrong
+                if KINEMATICS in contents:
+                    return contents[KINEMATICS]
+    except OSError as exc:
+        if not isinstance(exc, TimeoutError):
+            raise LinkError(
+                f"{url}: cannot read port {PRIMARY_PORT} ({exc.strerror or exc}); check address and network"
+            ) from exc
+    raise LinkError(f"{url}: the controller sent no kinematics on port {PRIMARY_PORT}; check address and network")
+
+
+def sub_packages(package: bytes) -> dict[int, bytes] | None:
+    """Return the contents of sub-packages by type; None unless their sizes add up."""
+    contents = {}
+    while package:
+        size = int.from_bytes(package[:4])
+        if not PRIMARY_HEAD <= size <= len(package):
+            return None
+        contents[package[4]], package = package[PRIMARY_HEAD:size], package[size:]
+    return contents

@@ -19,8 +19,7 @@ from truearm.additions import with_additions
 from truearm.errors import InputError
 
 if TYPE_CHECKING:
-    from truearm.record.links import Clock, Link
-    from truearm.record.reopening import Reopening
+    from truearm.record.links import Clock, Link, Reopening
 
 
 class AddedReading(NamedTuple):
@@ -99,7 +98,7 @@ def open_source(url: str, clock: Clock) -> Reopening:
 
     Raises InputError for an address without a matching source, LinkError if nothing answers.
     """
-    from truearm.record.reopening import Reopening
+    from truearm.record.links import Reopening
 
     scheme = check_address(url)
     connect: Callable[[str, Clock, Link | None], Link] = _module(SOURCES[scheme].module).connect

@@ -27,8 +27,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from truearm.errors import InputError, LinkError, ProtocolError
-from truearm.record.frame_splitter import Runs
-from truearm.record.joint_lines import MAX_LINE, SILENCE_S
+from truearm.record.intake import MAX_LINE, SILENCE_S
 from truearm.record.links import (
     ROBOT_LOST,
     Arrivals,
@@ -36,6 +35,7 @@ from truearm.record.links import (
     Clock,
     Link,
     LinkOnTop,
+    Runs,
     StreamLink,
     TcpLink,
     parse_address,
