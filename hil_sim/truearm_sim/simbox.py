@@ -17,18 +17,7 @@ from numpy.typing import NDArray
 from truearm.types import Floats
 
 from .box import COMMAND, POWER, WATCHDOG, Answer, BoxSetup, write_flash
-from .hardware import (
-    BAD_CRC,
-    CONVERTER_RESET,
-    CRASH,
-    STALL,
-    TEMPERATURE_MDEGC,
-    Boot,
-    Edge,
-    Hardware,
-    PowerOn,
-    Signals,
-)
+from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, TEMPERATURE_MDEGC, Boot, Edge, Hardware, PowerOn, Signals
 from .micropython import Interpreter
 from .vmbox import VmBox
 from .world import World

@@ -8,15 +8,25 @@ imports this module.
 
 from truearm.export.writing import RobotToWrite, check_gains, joint_motion
 from truearm.findings import Finding
-from truearm.kinds.group import Group, KindFault
-from truearm.kinds.kind import DwellSensor, Kind
-from truearm.kinds.linearised import Linearised, gather, linearised, scatter, zero_columns
+from truearm.kinds.columns import Quantity
+from truearm.kinds.group import (
+    Fault,
+    Group,
+    KindFault,
+    Layout,
+    Linearised,
+    RigNumber,
+    Used,
+    gather,
+    linearised,
+    or_inf,
+    scatter,
+    zero_columns,
+)
+from truearm.kinds.kind import DwellSensor, Kind, RigUse, Scope, measured, sigmas, use, use_points
 from truearm.kinds.proposals import NEW, TRIES, Proposal, anywhere, trial_rows
-from truearm.kinds.quantities import Quantity
 from truearm.kinds.registry import add_kind
 from truearm.kinds.rig_entries import NAME, TARGET, by_name
-from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use, use_points
-from truearm.kinds.unknowns import Fault, Layout, RigNumber, Used, or_inf
 from truearm.model.chain import Chain, about, along, forward, link_frames, trace_link, trace_point
 from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.nominal_arm import NominalArm

@@ -10,8 +10,7 @@ from scipy import stats
 from tests.end_to_end.conftest import record_session, recorded_with_plan
 
 from truearm.cli.main import main
-from truearm.kinds.noise_file import read_noise
-from truearm.kinds.rig_file import write_rig
+from truearm.kinds.rig_file import read_noise, write_rig
 from truearm.plan.plan_file import read_plan
 from truearm.workflows import simulate
 from truearm_sim.arm import WORN

@@ -4,18 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.extend import (
-    Group,
-    Kind,
-    Quantity,
-    RigUse,
-    about,
-    forward,
-    linearised,
-    measured,
-    sigmas,
-    trace_point,
-)
+from truearm.extend import Group, Kind, Quantity, RigUse, about, forward, linearised, measured, sigmas, trace_point
 
 ANGLE = Quantity("incline", ("incline",), "rad")
 

@@ -16,8 +16,7 @@ from world_stream import HOST_NS, messages_of
 from truearm.estimate.identify import identify
 from truearm.estimate.problem import build_problem
 from truearm.estimate.whitened_rows import whitened_blocks
-from truearm.kinds.noise_file import NoiseFile, read_noise, with_noise
-from truearm.kinds.rig_file import format_rig
+from truearm.kinds.rig_file import NoiseFile, format_rig, read_noise, with_noise
 from truearm.model.chain import along, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import REPEATABILITY

@@ -15,13 +15,7 @@ from tests.refusals import refused
 import truearm
 from truearm.errors import TableError
 from truearm.kinds.table import ObservationTable
-from truearm.kinds.table_file import (
-    check_against_rig,
-    concatenate,
-    format_table,
-    parse_table,
-    read_table,
-)
+from truearm.kinds.table_file import check_against_rig, concatenate, format_table, parse_table, read_table
 from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 
 GOOD = "kind,q1_rad,q2_deg,length_mm,sigma_mm,bar,chuck,sphere,shell\nball_bar,0.5,90,460.25,0.1,b46,c1,s1,low\n"

@@ -8,11 +8,11 @@ from device_bench import TARGETS, in_device, join, line_rows, random_pose, rows,
 from puma_bench import CHAIN, TRUTH, random_poses
 
 from truearm.estimate.problem import blocks, build_problem
+from truearm.kinds.group import Layout
+from truearm.kinds.kind import Scope, use_points
 from truearm.kinds.plane import frame_of
 from truearm.kinds.pose import PoseRows
 from truearm.kinds.position import place
-from truearm.kinds.rig_references import Scope, use_points
-from truearm.kinds.unknowns import Layout
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, LinePlacement, Plane, Point, Rig
 

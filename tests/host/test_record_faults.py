@@ -7,16 +7,7 @@ import cbor2
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_box import (
-    HOST_0,
-    LATENCY,
-    MS,
-    SECOND,
-    Box,
-    Lab,
-    array,
-    u32,
-)
+from record_box import HOST_0, LATENCY, MS, SECOND, Box, Lab, array, u32
 from record_files import Watching, events, received, run, topics
 
 from truearm.record.recorder import RecordOptions

@@ -500,8 +500,8 @@ def test_the_fault_is_named(copy, said):
 
 UNIT = """
 import json, re
-from truearm.kinds import quantities
-quantities.CIRCUMSTANCES += (quantities.Quantity("force", ("force",), "N"),)
+from truearm.kinds import columns
+columns.CIRCUMSTANCES += (columns.Quantity("force", ("force",), "N"),)
 from truearm.errors import TableError
 from truearm.kinds.table_file import format_table, parse_table
 from truearm.schema import Key, Number, SchemaError

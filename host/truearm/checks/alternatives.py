@@ -17,8 +17,7 @@ import numpy as np
 from truearm.checks.labels import renamed, row_name
 from truearm.checks.trial import Alternative
 from truearm.estimate.problem import build_problem
-from truearm.kinds.columns import identifiers
-from truearm.kinds.quantities import LARGEST_NOISE, POINT, TURN, Quantity
+from truearm.kinds.columns import LARGEST_NOISE, POINT, TURN, Quantity, identifiers
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
 from truearm.model.poses import pose_of, six_of

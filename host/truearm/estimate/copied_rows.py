@@ -21,8 +21,7 @@ from scipy import special
 
 from truearm.estimate.circumstances import first_alike
 from truearm.estimate.problem import build_problem
-from truearm.kinds.columns import is_label
-from truearm.kinds.quantities import LARGEST_NOISE, Quantity
+from truearm.kinds.columns import LARGEST_NOISE, Quantity, is_label
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain

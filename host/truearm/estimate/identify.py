@@ -41,12 +41,7 @@ from truearm.estimate.outliers import (
     without_outliers,
 )
 from truearm.estimate.prior import weak_prior
-from truearm.estimate.problem import (
-    Problem,
-    build_problem,
-    settled,
-    without_effect_priors,
-)
+from truearm.estimate.problem import Problem, build_problem, settled, without_effect_priors
 from truearm.estimate.row_errors import Judge, RowErrors, judging, left_out_errors
 from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options, Solution, goodness_of, rms_of, solver_named
@@ -56,14 +51,7 @@ from truearm.estimate.validation import judge_problem
 from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import (
-    Effect,
-    Estimate,
-    Figures,
-    HeldOut,
-    MeanError,
-    NullDirection,
-)
+from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
 from truearm.types import Floats, Indices, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 

@@ -22,7 +22,7 @@ from scipy.linalg import get_lapack_funcs
 
 from truearm.estimate.problem import Problem, blocks, note, pieces
 from truearm.estimate.residual_noise import residual_cov, whiten
-from truearm.kinds.linearised import Linearised
+from truearm.kinds.group import Linearised
 from truearm.model.chain import folded
 from truearm.types import Floats, Residuals
 

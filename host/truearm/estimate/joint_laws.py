@@ -46,15 +46,7 @@ from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import with_laws
-from truearm.results import (
-    Diagnosis,
-    Effect,
-    Estimate,
-    JointLaws,
-    LawStep,
-    MeanError,
-    TriedLaw,
-)
+from truearm.results import Diagnosis, Effect, Estimate, JointLaws, LawStep, MeanError, TriedLaw
 from truearm.types import CurveKnots, Floats, Law, Mask, Rigs, thinned
 from truearm.units import UNITS
 

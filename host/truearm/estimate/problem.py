@@ -35,11 +35,10 @@ from truearm.estimate.systematic_effects import (
     with_effects,
     with_payloads,
 )
-from truearm.kinds.group import Group
+from truearm.kinds.group import Fault, Group, Layout
+from truearm.kinds.kind import RigUse, Scope
 from truearm.kinds.registry import end_points, kinds
-from truearm.kinds.rig_references import RigUse, Scope
 from truearm.kinds.table import ObservationTable
-from truearm.kinds.unknowns import Fault, Layout
 from truearm.model.chain import Chain
 from truearm.model.law_chain import has_payload_law
 from truearm.results import Effect

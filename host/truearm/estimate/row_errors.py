@@ -22,14 +22,7 @@ from numpy.typing import NDArray
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose, pose_rows
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Solution
-from truearm.estimate.whitened_rows import (
-    distance_without,
-    gate,
-    in_units,
-    leverages,
-    noise_root,
-    solve_semidefinite,
-)
+from truearm.estimate.whitened_rows import distance_without, gate, in_units, leverages, noise_root, solve_semidefinite
 from truearm.kinds.group import Group, unit_columns
 from truearm.results import ResidualParts
 from truearm.types import Floats, Indices, Residuals

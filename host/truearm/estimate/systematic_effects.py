@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.circumstances import Circumstances
-from truearm.kinds.group import Group, GroupOfOther, KindFault
-from truearm.kinds.linearised import Linearised
-from truearm.kinds.unknowns import Fault
+from truearm.kinds.group import Fault, Group, GroupOfOther, KindFault, Linearised
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries
 from truearm.model.poses import pose_of, six_of

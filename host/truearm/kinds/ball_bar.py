@@ -21,15 +21,12 @@ from typing import Any
 import numpy as np
 
 from truearm.findings import Finding
-from truearm.kinds.group import Group, KindFault
-from truearm.kinds.kind import DwellSensor, Kind
-from truearm.kinds.linearised import Linearised, gather, linearised
+from truearm.kinds.columns import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
+from truearm.kinds.group import Fault, Group, KindFault, Linearised, RigNumber, gather, linearised, point_numbers
+from truearm.kinds.kind import DwellSensor, Kind, RigUse, Scope, measured, sigmas, use
 from truearm.kinds.proposals import NEW, TRIES, Proposal, anywhere, trial_rows
-from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
-from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.table import ObservationTable
-from truearm.kinds.unknowns import Fault, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, SchemaError, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, Point, Rig

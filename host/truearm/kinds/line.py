@@ -20,12 +20,11 @@ from typing import assert_never
 import numpy as np
 
 from truearm.kinds import position
-from truearm.kinds.kind import Kind
+from truearm.kinds.columns import POINT, SPREAD
+from truearm.kinds.kind import ORIGIN, Kind, RigUse, Scope
 from truearm.kinds.position import nearest_rotation, points_of
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, Proposal, about_one_point, trial_rows
-from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
-from truearm.kinds.rig_references import ORIGIN, RigUse, Scope
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.kinds.group import Group
-from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, gather, linearised
-from truearm.kinds.quantities import DISTANCE
+from truearm.kinds.columns import DISTANCE
+from truearm.kinds.group import Group, Linearised, RigNumber, gather, linearised, or_inf
+from truearm.kinds.kind import Kind, RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
 from truearm.kinds.rig_entries import NAME, TARGET, by_name
-from truearm.kinds.rig_references import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
-from truearm.kinds.unknowns import RigNumber, or_inf
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross

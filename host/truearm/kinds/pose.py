@@ -17,12 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, gather, linearised
+from truearm.kinds.columns import LARGEST_TURN_NOISE, POINT, SPREAD, TURN, Quantity
+from truearm.kinds.group import Linearised, gather, linearised
+from truearm.kinds.kind import Kind, RigUse, Scope, look_up, measured, refuse
 from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
-from truearm.kinds.quantities import LARGEST_TURN_NOISE, POINT, SPREAD, TURN, Quantity
 from truearm.kinds.rig_entries import TARGET
-from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, refuse
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_and_jacobian, rotation_vector
 from truearm.types import Floats, Indices

@@ -23,13 +23,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from truearm.errors import ProblemError
-from truearm.kinds.group import Group
-from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, gather, linearised
-from truearm.kinds.quantities import POINT, SPREAD
+from truearm.kinds.columns import POINT, SPREAD
+from truearm.kinds.group import XYZ, Fault, Group, Linearised, RigNumber, Used, gather, linearised, or_inf, rows_of
+from truearm.kinds.kind import Kind, RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
-from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
-from truearm.kinds.unknowns import XYZ, Fault, RigNumber, Used, or_inf, rows_of
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import rotation, rotation_and_jacobian, rotation_vector
 from truearm.model.transforms import cross

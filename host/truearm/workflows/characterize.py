@@ -15,8 +15,7 @@ from truearm.disk import check_writable, write_atomic
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate import repeatability
 from truearm.findings import Finding, entries, ordered, stated
-from truearm.kinds.noise_file import NoiseFile, format_noise
-from truearm.kinds.rig_file import read_rig
+from truearm.kinds.rig_file import NoiseFile, format_noise, read_rig
 from truearm.model.chain import Chain, distance_jacobian
 from truearm.plan.plan_file import read_plan
 from truearm.progress import step

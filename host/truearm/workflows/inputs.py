@@ -18,9 +18,8 @@ from truearm.disk import check_outputs, same_file
 from truearm.errors import Argument, InputError, RigError, SessionError, noting
 from truearm.estimate.result_file import Input, input_of
 from truearm.findings import Finding
-from truearm.kinds.noise_file import check_against_rigs, read_noise, with_noise
 from truearm.kinds.registry import kinds, with_every_name
-from truearm.kinds.rig_file import read_rig
+from truearm.kinds.rig_file import check_against_rigs, read_noise, read_rig, with_noise
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import check_against_rig, concatenate, read_table
 from truearm.model.chain import Chain

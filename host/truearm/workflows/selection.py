@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.circumstances import first_alike, poses
 from truearm.estimate.solvers import SOLVERS, Prior
-from truearm.kinds.columns import ANYWHERE, GROUPS, identifiers, is_label
-from truearm.kinds.quantities import POINT, Quantity
+from truearm.kinds.columns import ANYWHERE, GROUPS, POINT, Quantity, identifiers, is_label
 from truearm.kinds.registry import drawn_from, kinds
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import column_of_title
