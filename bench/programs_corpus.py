@@ -20,7 +20,7 @@ from truearm.correct.programs.corrected_text import target_poses
 from truearm.correct.programs.languages import SUFFIXES, ProgramLanguage, read_programs
 from truearm.correct.programs.program import Goal, Surroundings
 from truearm.correct.programs.tokens import Source
-from truearm.model.poses import frame_of, inverted
+from truearm.model.transforms import frame_of, inverted
 from truearm.types import Floats
 
 NAMES = ("ut", "uf", "tool_data", "base_data")

@@ -18,7 +18,7 @@ import sys
 import numpy as np
 
 from truearm.model.chain import Chain, point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 
 SCATTER = {"m": 1e-3, "rad": 2e-3, "1": 1e-4}
 SIGMA = {"position": 0.05e-3, "ball_bar": 0.084e-3}

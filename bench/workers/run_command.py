@@ -17,7 +17,7 @@ from measure import tell
 
 from truearm.cli.main import main
 from truearm.model.chain import point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 
 TARGETS = {"a": (0.05, 0.03, 0.1), "b": (-0.06, 0.04, 0.1), "c": (0.0, -0.07, 0.12)}
 SCATTER = {"m": 5e-4, "rad": 2e-3, "1": 1e-4}

@@ -16,7 +16,7 @@ from scipy.linalg import blas
 
 from truearm.estimate.information import observe
 from truearm.estimate.problem import build_problem
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 
 
 def main(_: str, kind: str, path: str, runs: int) -> None:

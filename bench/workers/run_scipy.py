@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from data import CHUCKS, SPHERES
 from truearm.estimate.problem import BLOCK
 from truearm.model.chain import point_forward, point_jacobians
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 
 
 def main(method: str, kind: str, path: str, runs: int) -> None:

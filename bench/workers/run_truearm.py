@@ -15,7 +15,7 @@ from truearm.estimate.fit import fit
 from truearm.estimate.problem import build_problem
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import _folded, point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.types import BallBar, Device, Point, Rig
 from truearm.workflows.identify import IdentifyOptions, identified
 from truearm.workflows.inputs import Observed

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import PlanError
 from truearm.model.chain import Chain, point_forward
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.schema import Matrix
 from truearm.types import Device, Floats, Plan, Rig
 from truearm.units import MM

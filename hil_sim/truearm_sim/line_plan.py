@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from truearm.model.robot import Robot, builtin_robot
+from truearm.model.robot import Robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan import plan_file
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import way_without_bar

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from truearm.errors import PlanError
 from truearm.model.chain import Chain, forward
 from truearm.model.inverse import inverse
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.types import Floats, Plan, Rig
 from truearm.units import MM, MM_S
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm.model.chain_structure import GEOMETRY
-from truearm.model.joint_terms.offset import Offset
+from truearm.model.joint_terms.term import Offset
 from truearm.model.robot import Robot
 from truearm.types import Floats
 from truearm_sim.arm import Arm

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.model.chain import Chain, point_forward
-from truearm.model.robot import Robot, builtin_robot
+from truearm.model.robot import Robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan import plan_file
 from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import bars, circle, first_rig

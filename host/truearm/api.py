@@ -31,8 +31,8 @@ from truearm.kinds import rig_file
 from truearm.kinds import table_file as observation_table
 from truearm.kinds.table import ObservationTable
 from truearm.model import robot_file
-from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
+from truearm.model.robot_file import builtin_names
 from truearm.plan.ball_bar_plan import BallBarPlan
 from truearm.plan.options import Budget
 from truearm.text import counted

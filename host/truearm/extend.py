@@ -29,8 +29,7 @@ from truearm.kinds.registry import add_kind
 from truearm.kinds.rig_entries import NAME, TARGET, by_name
 from truearm.model.chain import Chain, about, along, forward, link_frames, trace_link, trace_point
 from truearm.model.chain_structure import Structure
-from truearm.model.joint_terms.nominal_arm import NominalArm
-from truearm.model.joint_terms.term import Term
+from truearm.model.joint_terms.term import NominalArm, Term
 from truearm.model.transforms import axis_of
 from truearm.record.links import Clock, Link, TcpLink
 from truearm.record.robots.text_lines import LineDialect, LinesLink

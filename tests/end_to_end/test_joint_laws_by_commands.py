@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from truearm.model.chain import forward
-from truearm.model.poses import position_and_rotation
 from truearm.model.robot_file import RobotChoice
+from truearm.model.transforms import position_and_rotation
 from truearm.plan.plan_file import read_plan
 from truearm.workflows.requests import TruthOptions
 from truearm.workflows.simulate import simulated_robot

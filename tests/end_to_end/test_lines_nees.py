@@ -12,7 +12,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.plan_file import concatenate
 from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm_sim.latency import FROM_ROBOT

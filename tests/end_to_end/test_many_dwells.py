@@ -11,7 +11,7 @@ import pytest
 from tests.end_to_end.conftest import measured_by_bars
 
 from truearm.estimate.identify import identify
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.plan_file import read_plan
 from truearm_sim.world import World
 

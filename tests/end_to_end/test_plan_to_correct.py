@@ -21,8 +21,7 @@ from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
 from truearm.model.chain import forward
 from truearm.model.inverse import singular_value
-from truearm.model.robot import builtin_robot
-from truearm.model.robot_file import load_robot
+from truearm.model.robot_file import builtin_robot, load_robot
 from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.forecast import bar_table
 from truearm.plan.plan_file import read_plan

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import lab_with, record_session, recorded_with_plan
 
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 from truearm.workflows.inputs import Sources, read_sources

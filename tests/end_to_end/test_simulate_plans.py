@@ -6,7 +6,7 @@ from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.kinds.rig_file import read_rig, write_rig
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.plan_file import read_plan, write_plan
 from truearm.workflows.requests import SimulateOptions
 from truearm.workflows.simulate import simulated_robot, visits

@@ -8,7 +8,7 @@ from tests.end_to_end.conftest import record_session
 from tests.host.findings_bench import listed
 
 from truearm.cli.main import main
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 
 ROBOT = builtin_robot("puma560")

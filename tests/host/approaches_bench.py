@@ -2,7 +2,7 @@
 
 import functools
 
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.approaches import plan_approaches
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import Pace

@@ -6,7 +6,7 @@ from puma_bench import CHAIN, TRUTH, random_poses
 from truearm.kinds.plane import frame_of
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, point_forward, point_jacobians
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.types import Point
 
 TARGETS = {

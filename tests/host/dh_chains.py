@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from truearm.model.conventions import dh_slots, modified_dh_slots
-from truearm.model.elementary_transforms import SIX, chain_from_slots, law_name
+from truearm.model.robot_tables import SIX, chain_from_slots, dh_slots, law_name, modified_dh_slots
 
 NO_MOUNTING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -14,7 +14,7 @@ from puma_bench import CHAIN, FREE, SIGMA, TRUTH
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.ball_bar_plan import all_pairings, make_site, plan_ballbar
 from truearm.plan.forecast import Knowledge
 from truearm.plan.options import Budget, PoseOptions

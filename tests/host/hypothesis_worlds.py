@@ -18,9 +18,8 @@ from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
-from truearm.model.robot import builtin_robot
-from truearm.model.robot_file import load_robot
-from truearm.model.rotation import rotation
+from truearm.model.robot_file import builtin_robot, load_robot
+from truearm.model.transforms import rotation
 from truearm.plan.ball_bar_plan import all_pairings, make_site, plan_ballbar
 from truearm.plan.forecast import Knowledge
 from truearm.plan.options import Budget, PoseOptions

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from session_stream import PERIOD_NS, SCALE, Box, ident_of, joint_messages, renumber
 
 from truearm.model.chain import point_forward, point_jacobians
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.types import Message
 from truearm_sim.paths import Path
 from truearm_wire import messages as wire

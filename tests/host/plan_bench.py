@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from truearm.model.chain import forward, joint_frames, joint_jacobian
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.ball_bar_plan import all_pairings, make_site, plan_ballbar
 from truearm.plan.forecast import Knowledge
 from truearm.plan.measurement_limits import Limits, Sizes

@@ -9,8 +9,8 @@ import numpy as np
 
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
-from truearm.model.robot import builtin_robot
-from truearm.model.rotation import rotation
+from truearm.model.robot_file import builtin_robot
+from truearm.model.transforms import rotation
 from truearm.types import BallBar, Point, Rig
 
 ROBOT = builtin_robot("puma560")

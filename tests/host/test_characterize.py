@@ -18,7 +18,7 @@ from truearm.estimate.problem import build_problem
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.rig_file import NoiseFile, format_rig, read_noise, with_noise
 from truearm.model.chain import along, trace_point
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.first_rig import REPEATABILITY
 from truearm.plan.plan_file import write_plan
 from truearm.session.observations import observations, survey

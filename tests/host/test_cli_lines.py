@@ -10,7 +10,7 @@ from session_stream import write_session
 from tests.host.findings_bench import listed
 from tests.refusals import shown
 
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import rotation_vector
 from truearm.types import Device, Point, Rig
 
 

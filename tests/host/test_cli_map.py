@@ -16,7 +16,7 @@ from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.estimate.result_file import read_result
 from truearm.findings import Finding
 from truearm.model.chain import forward, joint_frames
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.workflows.calibration import NEAR_OBSERVED, read_calibration, unseen_within
 from truearm.workflows.map import Section, map_findings, mapped
 

@@ -18,7 +18,7 @@ from truearm.export.urdf import new_urdf
 from truearm.export.writing import link_frames
 from truearm.kinds.rig_file import read_rig, write_rig
 from truearm.kinds.table_file import write_table
-from truearm.model.builtin import builtin_text
+from truearm.model.robot_file import builtin_text
 from truearm.plan.forecast import bar_table
 from truearm.plan.plan_file import check_against_rig, read_plan
 from truearm.results import Diagnosis, Rival

@@ -19,11 +19,10 @@ from truearm.errors import LinkError, RobotError
 from truearm.export import ur
 from truearm.export.writing import RobotToWrite, predicted
 from truearm.kinds.rig_file import write_rig
-from truearm.model.builtin import builtin_text
 from truearm.model.chain import point_forward
 from truearm.model.controller_kinematics import kinematics_of_conf, kinematics_of_info, kinematics_of_yaml
-from truearm.model.robot import builtin_robot, parse_robot
-from truearm.model.robot_file import load_robot
+from truearm.model.robot import parse_robot
+from truearm.model.robot_file import builtin_robot, builtin_text, load_robot
 from truearm.record.robots import rtde
 from truearm.session.session_file import open_session
 from truearm.workflows.controller_model import controller_state, controller_text

@@ -15,7 +15,7 @@ from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
 from truearm.model.inverse import inverse, jacobian, singular_value
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_names, builtin_robot
 from truearm.model.robot_mounting import mountings
 
 

@@ -16,7 +16,7 @@ from truearm.correct.correction import Configuration, ModelPair, correct, limit_
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.model.chain import forward
 from truearm.model.inverse import singular_value
-from truearm.model.poses import apart
+from truearm.model.transforms import apart
 from truearm.workflows.correction_findings import configuration_notes, unexplained_error
 
 SAME = "0,0,0,0,0,0"

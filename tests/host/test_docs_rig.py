@@ -10,7 +10,7 @@ import pytest
 from tests.host import plan_bench as bench
 
 from truearm.model.chain import point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.forecast import Aim, bar_table, forecast
 from truearm.plan.measurement_limits import around, poses_in
 from truearm.types import Plan

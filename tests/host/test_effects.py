@@ -20,8 +20,8 @@ from truearm.estimate.systematic_effects import error_columns
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.law_chain import with_laws
-from truearm.model.robot import builtin_robot
-from truearm.model.rotation import rotation
+from truearm.model.robot_file import builtin_robot
+from truearm.model.transforms import rotation
 from truearm.results import DriftWith, Effect
 from truearm.types import Point
 from truearm.workflows.identify import IdentifyOptions, identified, rejudged, split_causes

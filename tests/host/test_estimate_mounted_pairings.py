@@ -18,7 +18,7 @@ from truearm.estimate.mounted_pairings import (
     runs,
     transition,
 )
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm_sim.world import standard_plan, standard_rig
 
 ROBOT, RIG = builtin_robot("puma560"), standard_rig()

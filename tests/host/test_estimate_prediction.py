@@ -16,7 +16,7 @@ from truearm.estimate.prior import weak_prior
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward, point_jacobians
 from truearm.model.robot_file import load_robot
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.results import weights_of
 from truearm.types import BallBar, Device, Plane, Point, Rig, rms
 from truearm.workflows.identify import IdentifyOptions, identified

@@ -16,7 +16,7 @@ from truearm.estimate.uncertainty import tolerance_error
 from truearm.estimate.validation import expected, judge
 from truearm.kinds.table_file import concatenate
 from truearm.model.chain import point_forward
-from truearm.model.rotation import rotation
+from truearm.model.transforms import rotation
 from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.bar_paths import Pace
 from truearm.plan.forecast import bar_table

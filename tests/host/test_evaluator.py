@@ -13,7 +13,7 @@ from test_joint_laws import arm_with_laws
 from truearm.export.evaluator import write_c, write_python
 from truearm.export.writing import RobotToWrite, predicted
 from truearm.model.chain import forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 
 POSES = 10_000
 

@@ -29,7 +29,6 @@ from truearm.export.writing import RobotToWrite, fit_to, link_frames, writer, wr
 from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table_file import read_table
 from truearm.model import joint_law
-from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
 from truearm.model.poses import inverted

@@ -11,7 +11,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
-from truearm.model.rotation import rotation
+from truearm.model.transforms import rotation
 from truearm.results import Effect
 from truearm.types import Point, Rig
 

@@ -26,7 +26,7 @@ from truearm.kinds import ball_bar
 from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table_file import parse_table
 from truearm.model.robot_file import load_robot
-from truearm.model.rotation import rotation
+from truearm.model.transforms import rotation
 from truearm.report.result_findings import cause
 
 ROBOTS = ("puma560", "ur5e", "urdf")

@@ -13,7 +13,7 @@ from truearm.kinds.kind import Scope, use_points
 from truearm.kinds.plane import frame_of
 from truearm.kinds.pose import PoseRows
 from truearm.kinds.position import place
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.types import Device, LinePlacement, Plane, Point, Rig
 
 COV = ((1e-8, 1e-9, 0.0), (1e-9, 2e-8, 0.0), (0.0, 0.0, 3e-8))

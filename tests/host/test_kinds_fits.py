@@ -20,7 +20,7 @@ from truearm.estimate.problem import build_problem
 from truearm.estimate.residual_noise import checked_joint_cov
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import point_forward
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.types import Device, Plane, Point, Rig
 
 # Renders (1991), III-C; the sixth-but-one of S_q is missing in print, its neighbours' order is taken.

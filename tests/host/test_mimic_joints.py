@@ -12,7 +12,7 @@ from truearm.cli.main import main
 from truearm.model.chain import end_and_jacobian, forward, joint_jacobian, point_jacobians
 from truearm.model.inverse import inverse, singular_value
 from truearm.model.joint_law import flat
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import rotation_vector
 from truearm.model.urdf import chain_from_urdf
 
 URDF = robot(

@@ -20,7 +20,7 @@ from truearm.model.chain import (
 )
 from truearm.model.chain_structure import Joint, Parameter
 from truearm.model.law_chain import with_laws
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.model.transforms import MOTIONS, Element, cos_sin
 from truearm.types import SagMasses
 

@@ -9,7 +9,8 @@ from term_bench import register
 from truearm.errors import RobotError
 from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
 from truearm.model.chain_structure import Parameter
-from truearm.model.robot import builtin_robot, parse_robot
+from truearm.model.robot import parse_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.model.robot_mounting import mountings, own_law
 
 H = 1e-30  # of a complex step: no cancellation

@@ -5,10 +5,10 @@ import pytest
 from tests.refusals import refused
 
 from truearm.errors import RobotError
-from truearm.model.builtin import builtin_names, builtin_text, names_with_branch
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Joint
-from truearm.model.robot import builtin_robot, parse_robot
+from truearm.model.robot import parse_robot
+from truearm.model.robot_file import builtin_names, builtin_robot, builtin_text, names_with_branch
 
 TINY = """
 name = "tiny"

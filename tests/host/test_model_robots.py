@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from rank_bench import random_joints, rank_and_gap, sensitivity
 
-from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_names, builtin_robot
 from truearm.model.urdf import chain_from_urdf
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"

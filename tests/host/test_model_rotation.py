@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from truearm.model.poses import pose_of, six_of
-from truearm.model.rotation import left_jacobian, rotation, rotation_vector, skew, turned
-from truearm.model.transforms import elementary
+from truearm.model.transforms import elementary, left_jacobian, pose_of, rotation, rotation_vector, six_of, skew, turned
 
 ANGLES = [0.0, 1e-12, 1e-6, 0.3, 0.32, 1.0, 2.0, 3.0, np.pi - 1e-6, np.pi - 1e-12]
 

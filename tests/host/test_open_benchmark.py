@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from truearm.model.chain import point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "explanation" / "open-benchmark.md").read_text(encoding="utf-8")

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.host import plan_bench as bench
 
-from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
 from truearm.plan.measurement_limits import SHORT, Sizes, along_joints, clear, link_ends, make_shapes, segment_distance

@@ -12,7 +12,7 @@ import truearm
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.solvers import Prior
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.model.urdf import free_without_gains
 from truearm.plan.ball_bar_plan import all_pairings, plan_ballbar
 from truearm.plan.forecast import Aim, bar_table, forecast

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from tests.host import plan_bench as bench
 
 from truearm.errors import PlanError
-from truearm.model.builtin import names_with_branch
 from truearm.model.chain import point_forward
-from truearm.model.robot import builtin_robot
-from truearm.model.workspace import Branch
+from truearm.model.robot import Branch
+from truearm.model.robot_file import builtin_robot, names_with_branch
 from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.bar_paths import onto_shell, samples, way_without_bar, ways_with_bar
 from truearm.plan.branches import branch_of

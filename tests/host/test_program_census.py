@@ -15,7 +15,7 @@ from truearm.correct.programs.languages import read_programs
 from truearm.correct.programs.program import Surroundings
 from truearm.correct.programs.reading import readings_of
 from truearm.correct.programs.tokens import Source
-from truearm.model.poses import frame_of, inverted
+from truearm.model.transforms import frame_of, inverted
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 MARK = re.compile(r"[!#;] ?([KOR])\b")

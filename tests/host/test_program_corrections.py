@@ -26,7 +26,7 @@ from truearm.correct.programs.program import Form
 from truearm.errors import InputError
 from truearm.findings import Finding, Reason
 from truearm.model.chain import forward
-from truearm.model.poses import apart
+from truearm.model.transforms import apart
 from truearm.workflows import correct_program as correct_program_module
 from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, correct_program
 from truearm.workflows.requests import ProgramOptions

@@ -18,8 +18,7 @@ from tests.refusals import ended
 from truearm.cli.project import defaults, project_model
 from truearm.errors import InputError
 from truearm.kinds.rig_file import read_rig
-from truearm.model.builtin import builtin_names
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_names, builtin_robot
 from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import reach
 from truearm.results import Unusable

@@ -15,7 +15,7 @@ from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.findings import Finding
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.record.write_lock import hold
 from truearm.session.plan_matching import labels_path, read_labels
 from truearm.types import BAR_MOUNTED

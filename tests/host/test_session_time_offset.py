@@ -9,7 +9,7 @@ from session_stream import stream_of
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import wide_prior
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import rotation_vector
 from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig
 

@@ -12,7 +12,7 @@ from tests.host.findings_bench import listed
 import truearm
 from truearm.estimate.validation import consistency, judge
 from truearm.model.chain import point_forward
-from truearm.model.rotation import rotation
+from truearm.model.transforms import rotation
 from truearm.types import Device, Point, Rig
 from truearm.workflows.calibration import covariance_of, unseen_of
 

@@ -24,9 +24,8 @@ from truearm.checks.inputs import checked_inputs, explaining, explanations_of
 from truearm.checks.trial import Alternative, evidence, fitted
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
-from truearm.model.builtin import builtin_names
 from truearm.model.chain import joint_frames, point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_names, builtin_robot
 from truearm.report.result_findings import inputs, verdict
 from truearm.results import Unusable
 from truearm.types import Plane, Rig, thinned

@@ -9,8 +9,8 @@ import numpy as np
 
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_jacobian, point_forward
-from truearm.model.robot import builtin_robot
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.robot_file import builtin_robot
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.types import Device, Rig
 
 CHAIN = builtin_robot("ulb").chain

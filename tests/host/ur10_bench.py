@@ -8,7 +8,7 @@ import numpy as np
 
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot_file import load_robot
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.types import Device, Point, Rig
 
 FOLDER = Path(__file__).parents[1] / "data" / "ipa_ur10"

@@ -18,7 +18,7 @@ from tests.host.tcp_peer import Peer
 from tests.recipes.recipes import ROOT, Copy, findings
 from truearm.kinds.rig_file import write_rig
 from truearm.model.chain import forward, joint_frames
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.session.joint_format import parse_line
 from truearm.types import BallBar
 

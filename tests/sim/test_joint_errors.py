@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.model.chain import forward, joint_frames
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan.first_rig import reach
 from truearm_sim.arm import Arm
 from truearm_sim.joint_errors import GRAVITY, GearError, Sag

@@ -7,8 +7,8 @@ import pytest
 
 from truearm.errors import PlanError
 from truearm.model.chain import forward, point_forward
-from truearm.model.robot import builtin_robot
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.robot_file import builtin_robot
+from truearm.model.transforms import rotation, rotation_vector
 from truearm.types import Device
 from truearm_sim import line_device, robot, sensors
 from truearm_sim.line_device import BY_HAND, Flaws

@@ -20,8 +20,7 @@ from truearm.estimate.problem import build_problem
 from truearm.kinds.columns import LARGEST_NOISE, POINT, TURN, Quantity, identifiers
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
-from truearm.model.poses import pose_of, six_of
-from truearm.model.rotation import rotation, rotation_vector
+from truearm.model.transforms import pose_of, rotation, rotation_vector, six_of
 from truearm.results import Effect
 from truearm.types import Floats, Indices, Mask, Rig, rigs_by_name
 from truearm.units import DEG, MM, UNITS

@@ -50,7 +50,7 @@ from truearm.cli.project import EXPERT, CommandGroup, Parameter, ProjectCommand
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode
 from truearm.findings import Finding, findings_of
-from truearm.model.builtin import builtin_names
+from truearm.model.robot_file import builtin_names
 
 if TYPE_CHECKING:
     from truearm.report.tables import Table

@@ -18,7 +18,7 @@ from truearm.cli.options import READERS
 from truearm.cli.project import typed
 from truearm.errors import Argument, InputError
 from truearm.file_names import missing_file
-from truearm.model.builtin import builtin_names
+from truearm.model.robot_file import builtin_names
 from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.record.robots.sources import check_address
 from truearm.units import MM

@@ -185,7 +185,7 @@ def command_line(context: click.Context) -> str:
 
 def joints_of(shown: tuple[float, ...] | None, arm: Chain) -> tuple[float, ...] | None:
     """Return the joints [rad, m] of an option in deg and mm; those of mimic joints may be missing. Another number is kept."""
-    from truearm.model.mimic import units_of
+    from truearm.model.chain_structure import units_of
 
     units = units_of(len(shown or ()), arm.joint_units, arm.mimics)
     if shown is None or len(shown) != len(units):
@@ -233,7 +233,7 @@ def branch_of(text: str) -> Branch:
     """Return joint bounds [rad] from a text in deg."""
     import numpy as np
 
-    from truearm.model.workspace import Branch
+    from truearm.model.robot import Branch
 
     lower, upper = spans_of(DEG, text)
     return Branch(np.array(lower), np.array(upper))

@@ -16,10 +16,9 @@ import numpy as np
 from truearm.disk import read_text
 from truearm.errors import TableError, TargetError
 from truearm.kinds.csv_cells import joint_titles, read_csv
-from truearm.model.mimic import NO_MIMICS, Mimic, completed
-from truearm.model.poses import pose_of
+from truearm.model.chain_structure import NO_MIMICS, Mimic, completed
 from truearm.model.robot_tables import MAX_JOINTS
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import pose_of, rotation_vector
 from truearm.text import page
 from truearm.types import Floats, Strings
 from truearm.units import DEG, MM, key, named, shown, suffixes

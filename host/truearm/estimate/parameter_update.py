@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from truearm.estimate.circumstances import first_alike
 from truearm.estimate.problem import Problem
 from truearm.model.chain import Chain
-from truearm.model.constant_folding import constants_of
-from truearm.model.rotation import screw, skew, turned
-from truearm.model.transforms import mixed
+from truearm.model.chain_structure import constants_of
+from truearm.model.transforms import mixed, screw, skew, turned
 from truearm.types import Floats, Indices
 
 Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to the new x

@@ -23,9 +23,7 @@ from truearm.estimate.circumstances import Circumstances
 from truearm.kinds.group import Fault, Group, GroupOfOther, KindFault, Linearised
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries
-from truearm.model.poses import pose_of, six_of
-from truearm.model.rotation import left_jacobian
-from truearm.model.transforms import Element
+from truearm.model.transforms import Element, left_jacobian, pose_of, six_of
 from truearm.results import Effect
 from truearm.types import Floats, Indices, Mask, Payload
 

@@ -15,8 +15,7 @@ from truearm.errors import RobotError
 from truearm.export.toml_tables import dh_rows
 from truearm.export.writing import LinkFrames, RobotToWrite, check_gains, link_frames
 from truearm.model.controller_kinematics import KEYS, SEGMENTS
-from truearm.model.poses import inverted, six_of
-from truearm.model.transforms import elementary
+from truearm.model.transforms import elementary, inverted, six_of
 from truearm.types import Floats
 
 ROLLS = (0.0, 0.5 * np.pi, 0.0, 0.0, 0.5 * np.pi, -0.5 * np.pi)  # of the published files

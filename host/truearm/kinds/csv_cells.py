@@ -19,7 +19,7 @@ import numpy as np
 
 from truearm.errors import TableError
 from truearm.kinds.columns import is_label
-from truearm.model.mimic import units_of
+from truearm.model.chain_structure import units_of
 from truearm.schema import NAME, quoted
 from truearm.text import counted
 from truearm.units import SUFFIXES, UNITS, named

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.model.chain import Chain, PointDerivatives
-from truearm.model.constant_folding import Basis
+from truearm.model.chain_structure import Basis
 from truearm.types import Floats, Indices, Mask, Point
 from truearm.units import SMALLEST
 

@@ -27,7 +27,7 @@ from truearm.kinds.proposals import NEW, TRIAL_SIGMA, Proposal, about_one_point,
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward
-from truearm.model.rotation import rotation
+from truearm.model.transforms import rotation
 from truearm.schema import Entries
 from truearm.types import Device, Floats, Indices, LinePlacement, Rig
 

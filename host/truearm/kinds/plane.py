@@ -17,8 +17,7 @@ from truearm.kinds.group import Group, Linearised, RigNumber, gather, linearised
 from truearm.kinds.kind import Kind, RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
 from truearm.kinds.rig_entries import NAME, TARGET, by_name
 from truearm.model.chain import Chain, along, trace_point
-from truearm.model.rotation import left_jacobian, rotation
-from truearm.model.transforms import cross
+from truearm.model.transforms import cross, left_jacobian, rotation
 from truearm.schema import Entries, Table, keys_of
 from truearm.types import Floats, Indices, Plane
 

@@ -23,7 +23,7 @@ from truearm.kinds.kind import Kind, RigUse, Scope, look_up, measured, refuse
 from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
 from truearm.kinds.rig_entries import TARGET
 from truearm.model.chain import Chain, about, forward, trace_point
-from truearm.model.rotation import left_jacobian, rotation, rotation_and_jacobian, rotation_vector
+from truearm.model.transforms import left_jacobian, rotation, rotation_and_jacobian, rotation_vector
 from truearm.types import Floats, Indices
 from truearm.units import SMALLEST
 

@@ -28,8 +28,7 @@ from truearm.kinds.group import XYZ, Fault, Group, Linearised, RigNumber, Used, 
 from truearm.kinds.kind import Kind, RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.model.chain import Chain, PointTrace, along, trace_point
-from truearm.model.rotation import rotation, rotation_and_jacobian, rotation_vector
-from truearm.model.transforms import cross
+from truearm.model.transforms import cross, rotation, rotation_and_jacobian, rotation_vector
 from truearm.schema import Entries
 from truearm.types import Device, Floats, Indices
 

@@ -14,7 +14,7 @@ from truearm.arguments import converted
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.kinds.columns import blank_row, is_label, quantities
-from truearm.model.mimic import Mimic, completed
+from truearm.model.chain_structure import Mimic, completed
 from truearm.types import as_column
 
 MOTIONS = ("q_rate", "side")  # columns of all joints, in addition to q

@@ -21,9 +21,9 @@ from truearm.kinds.columns import ANYWHERE, CIRCUMSTANCES, LARGEST_NOISE, Quanti
 from truearm.kinds.columns import identifiers as identifier_columns
 from truearm.kinds.csv_cells import Column, CsvTable, Titles, csv_text, joint_titles, read_csv
 from truearm.kinds.table import ObservationTable
-from truearm.model.mimic import NO_MIMICS, Mimic
+from truearm.model.chain_structure import NO_MIMICS, Mimic
 from truearm.model.robot_tables import MAX_JOINTS
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import rotation_vector
 from truearm.schema import HUGE, quoted
 from truearm.text import page, with_article
 from truearm.types import Floats, Rig

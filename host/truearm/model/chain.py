@@ -25,9 +25,17 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.chain_frames import far_frames
-from truearm.model.chain_structure import Structure
-from truearm.model.constant_folding import Basis, Columns, Folded, direct_basis, fold, new_numbers, on_axis
+from truearm.model.chain_structure import (
+    Basis,
+    Columns,
+    Folded,
+    Structure,
+    direct_basis,
+    far_frames,
+    fold,
+    new_numbers,
+    on_axis,
+)
 from truearm.model.joint_law import JointLaw, LawAt, flat
 from truearm.model.transforms import apply, axis_of, cos_sin, cross, move, turn
 from truearm.types import Floats, Indices

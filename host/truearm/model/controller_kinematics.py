@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.chain_frames import far_frames
+from truearm.model.chain_structure import far_frames
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.model.chain import Chain, end_and_jacobian
-from truearm.model.poses import apart
+from truearm.model.transforms import apart
 from truearm.types import Floats
 
 LEVER = 0.5  # m

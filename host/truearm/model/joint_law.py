@@ -30,10 +30,8 @@ from truearm.model.joint_terms.term import Term
 from truearm.model.mimic import completed
 from truearm.types import Floats
 
-# In the order of a joint's parameters. Offset and gain come first: every controller has them.
+# In the order of a joint's parameters, after offset and gain, which every controller has.
 TERM_FILES = (
-    "offset",
-    "gain",
     "curve",
     "sag",
 )

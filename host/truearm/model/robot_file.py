@@ -1,18 +1,21 @@
 """Load the robot that a user names: a built-in robot by name, a robot file (TOML) or a URDF by path.
 
+The built-in robots are one file each in ``robots/``, and those of other packages (entry points "truearm.robots").
 ``--help`` reads this, so it imports nothing slow.
 """
 
 from __future__ import annotations
 
 import difflib
+import re
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from truearm.additions import additions, blamed
 from truearm.disk import read_text
 from truearm.errors import Argument, RobotError
-from truearm.model.builtin import builtin_names
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
@@ -28,6 +31,31 @@ ROBOTS_OF = {
     "unimation": "puma560",
     "universal": "ur3e, ur5e or ur10e",
 }
+SUFFIX = ".toml"
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Return the names of the built-in robots, sorted."""
+    files = resources.files(__package__).joinpath("robots").iterdir()
+    bundled = (file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX))
+    return tuple(sorted({*bundled, *additions("robots")}))
+
+
+def builtin_text(name: str) -> str:
+    """Return the robot file of a built-in robot. Raises RobotError for an unknown name."""
+    if name not in builtin_names():
+        raise RobotError("wrong-value", place="built-in robot", value=name, names=list(builtin_names()))
+    bundled = resources.files(__package__).joinpath("robots", name + SUFFIX)
+    if bundled.is_file():
+        return bundled.read_text("utf-8")
+    entry = additions("robots")[name]
+    with blamed(entry):
+        return resources.files(entry.load()).joinpath(name + SUFFIX).read_text("utf-8")
+
+
+def names_with_branch() -> tuple[str, ...]:
+    """Return the names of the built-in robots with a ``[branch]`` table, which ``truearm plan`` requires."""
+    return tuple(name for name in builtin_names() if re.search(r"^\[branch\]", builtin_text(name), re.MULTILINE))
 
 
 class RobotChoice(NamedTuple):
@@ -56,12 +84,19 @@ class RobotChoice(NamedTuple):
 NO_ROBOT = RobotChoice()
 
 
+def builtin_robot(name: str) -> Robot:
+    """Return a built-in robot such as "puma560". Raises RobotError for an unknown name."""
+    from truearm.model.robot import parse_robot
+
+    return parse_robot(builtin_text(name))
+
+
 def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> Robot:
     """Return the robot called or stored at ``robot``; ``base`` and ``tip`` are links of a URDF.
 
     Raises RobotError that names the file, or lists the built-in robots.
     """
-    from truearm.model.robot import builtin_robot, parse_robot
+    from truearm.model.robot import parse_robot
 
     path = robot_file(robot)
     if not is_urdf(robot) and (base or tip):

@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.model.chain import Chain
-from truearm.model.poses import inverted
-from truearm.model.transforms import elementary
+from truearm.model.transforms import elementary, inverted
 from truearm.types import Floats
 
 

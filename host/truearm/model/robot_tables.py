@@ -1,4 +1,8 @@
-"""The tables of a robot file: joints, slots and numbers in SI.
+"""The tables of a robot file: conventions, joints, slots and numbers in SI.
+
+A convention is a sequence of slots: named elementary transforms in the order in which they are multiplied. Sheth–Uicker,
+Denavit–Hartenberg, modified Denavit–Hartenberg and transforms listed by hand differ only in this sequence.
+``chain_from_slots`` fills it with numbers and builds the chain.
 
 A parameter is written as a table of named values, ``{ design = 0.35, held = true }``, and a constant that is never
 identified as a plain number. Units are part of the keys: ``_m _cm _mm`` for lengths, ``_rad _deg`` for angles, none for
@@ -9,20 +13,144 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 from truearm.model import joint_law
-from truearm.model.chain_structure import Joint
-from truearm.model.conventions import dh_slots, modified_dh_slots, sheth_uicker_slots
-from truearm.model.elementary_transforms import Slot, law_name
-from truearm.model.joint_terms.offset import Offset
-from truearm.model.joint_terms.term import Term
-from truearm.model.transforms import MOTIONS
+from truearm.model.chain import Chain
+from truearm.model.chain_structure import Joint, Parameter
+from truearm.model.joint_terms.term import Offset, Term
+from truearm.model.transforms import MOTIONS, Element
 from truearm.schema import Choice, Key, List, Number, SchemaError, Table, Text, Value, as_table, at, quoted
 from truearm.units import suffixes
+
+SIX = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("alpha", "rz"), ("beta", "ry"), ("gamma", "rx"))
+
+
+class Slot(NamedTuple):
+    """One elementary transform of a convention; ``joint`` is the index of the joint that moves along or about it.
+
+    ``optional``: a robot file need not have it.
+    """
+
+    name: str  # "joint2.alpha"
+    motion: str
+    joint: int | None = None
+    optional: bool = False
+
+    @property
+    def unit(self) -> str:
+        return "m" if self.motion[0] == "t" else "rad"
+
+
+def six_slots(table: str, optional: bool = False) -> list[Slot]:
+    """Return Trans(x, y, z)·Rz(alpha)·Ry(beta)·Rx(gamma), a general transform; alpha is about z, gamma about x."""
+    return [Slot(f"{table}.{key}", motion, optional=optional) for key, motion in SIX]
+
+
+def law_name(slot: Slot, term: str) -> str:
+    """Return the name of a joint's parameter for a term of its law other than the offset."""
+    return f"{slot.name.rpartition('.')[0]}.{term}"
+
+
+def chain_from_slots(
+    name: str,
+    joints: Sequence[Joint],
+    slots: Sequence[Slot],
+    amounts: Mapping[str, float],
+    fixed: Collection[str] = (),
+    base_frame: str = "base",
+    end_frame: str = "end",
+) -> Chain:
+    """Return the chain of the slots.
+
+    A slot with a number becomes a parameter, or a constant if it is listed as fixed. A joint's slot is its offset, followed
+    by the other terms of its law that have numbers.
+
+    amounts : a finite number [SI] for every slot, by name, and for each further parameter of the joints' laws; a joint without
+        any has gain 1 and no further term.
+    fixed : names of slots that are constants rather than parameters.
+
+    Raises RobotError for two parameters of one name.
+    """
+    elements: list[Element] = []
+    parameters: list[Parameter] = []
+    for slot in slots:
+        value = float(amounts[slot.name])
+        if slot.joint is not None:
+            for term in joint_law.terms():
+                key = law_name(slot, term.name)
+                if key in amounts and key not in fixed:
+                    unit = term.unit_of(joints[slot.joint].kind)
+                    parameters.append(Parameter(key, unit, float(amounts[key]), term.name, slot.joint))
+            elements.append(Element(slot.motion, value, joint=slot.joint))
+        elif slot.name in fixed:
+            elements.append(Element(slot.motion, value))
+        else:
+            elements.append(Element(slot.motion, parameter=len(parameters)))
+            parameters.append(Parameter(slot.name, slot.unit, value))
+    return Chain(name, tuple(elements), tuple(parameters), tuple(joints), base_frame, end_frame)
+
+
+# ---------------------------------------------------------------------------------------------------------- conventions
+#
+# Distal, with Hayati's β (Renders, Rossignol, Becquet, Hanus 1991, II-A and Fig. 1):
+#
+#     T_i = Rz(θ_i)·Tz(d_i)·Tx(a_i)·Rx(α_i)·[Ry(β_i)]
+#
+# Modified (J. J. Craig, Introduction to Robotics, 1986, (3.6)), with the β of W. Khalil, E. Dombre, Modeling,
+# Identification and Control of Robots, 2002, ch. 11:
+#
+#     T_i = [Ry(β_i)]·Rx(α_i)·Tx(a_i)·Rz(θ_i)·Tz(d_i)
+#
+# Craig's a_{i−1}, α_{i−1} stand in row i. θ of a revolute joint and d of a prismatic one are offset + gain·q,
+# joint<i>.offset.
+#
+# Parallel axes have no definite common normal: d_i and d_{i+1} have one effect, and nothing describes the tilt about y.
+# Here β_i does, and d_i becomes a constant. docs/reference/robot-format.md says which parameters to fix.
+#
+# Sheth–Uicker chains have six constants per link and two per joint (Goswami, Quaid, Peshkin 1993, (2) and (3)):
+# T = T1L·T1J·T2L·…·TjJ·T(j+1)L with links Trans(x, y, z)·Rz(α)·Ry(β)·Rx(γ) (α is about z, γ about x) and joints
+# Rz(offset + gain·q), or Trans along z. Of 8j + 6 parameters, 5 n_r + 3 n_p + 6 are independent (the paper's (1)).
+
+CONSTANTS = {"a": "tx", "alpha": "rx", "beta": "ry"}  # of a row beside the screw of its joint
+
+
+def dh_slots(joints: Sequence[Joint]) -> list[Slot]:
+    """Return distal rows between base and tool; base, tool and each row's β are optional."""
+    return _rows(joints, "screw", "a", "alpha", "beta")
+
+
+def modified_dh_slots(joints: Sequence[Joint]) -> list[Slot]:
+    """Return Craig's rows between base and tool; base, tool and each row's β are optional."""
+    return _rows(joints, "beta", "alpha", "a", "screw")
+
+
+def _rows(joints: Sequence[Joint], *keys: str) -> list[Slot]:
+    slots = six_slots("base", optional=True)
+    for index, joint in enumerate(joints):
+        table = f"joint{index + 1}"
+        screw = [Slot(f"{table}.offset", "rz", index), Slot(f"{table}.d", "tz")]
+        if joint.kind == "prismatic":
+            screw = [Slot(f"{table}.theta", "rz"), Slot(f"{table}.offset", "tz", index)]
+        for key in keys:
+            constant = [] if key == "screw" else [Slot(f"{table}.{key}", CONSTANTS[key], optional=key == "beta")]
+            slots += constant or screw
+    return slots + six_slots("tool", optional=True)
+
+
+def sheth_uicker_slots(joints: Sequence[Joint]) -> list[Slot]:
+    """Return link1.x … link1.gamma, joint1.offset, link2.x, …, in the paper's order."""
+    slots = six_slots("link1")
+    for i, joint in enumerate(joints):
+        motion = "tz" if joint.kind == "prismatic" else "rz"
+        slots += [Slot(f"joint{i + 1}.offset", motion, i), *six_slots(f"link{i + 2}")]
+    return slots
+
+
+# --------------------------------------------------------------------------------------------------------------- tables
 
 MAX_JOINTS = 64
 MAX_TRANSFORMS = 1000

@@ -6,7 +6,7 @@ whose constants are not parameters. Joint law: θ = offset + gain·q with nomina
 
 Parameters, base to tip: ``<joint>.x .y .z .yaw .pitch .roll`` for every joint of the path, including fixed ones, and
 ``<joint>.offset .gain`` for those that move. Joints off the path are ignored. A mimic joint on the path is one of the
-chain's joints, whose reading follows from that of the joint it mimics (``model.mimic``).
+chain's joints, whose reading follows from that of the joint it mimics (``model.chain_structure``).
 
 The text may be untrusted: no document type, no entities, bounded size, finite numbers of a plausible size.
 """
@@ -26,12 +26,10 @@ from defusedxml.ElementTree import fromstring
 
 from truearm.errors import Argument, RobotError
 from truearm.model.chain import Chain, joint_frames
-from truearm.model.chain_structure import Joint, Parameter
-from truearm.model.joint_terms.gain import Gain
-from truearm.model.joint_terms.offset import Offset
-from truearm.model.mimic import Mimic
+from truearm.model.chain_structure import Joint, Mimic, Parameter
+from truearm.model.joint_terms.term import Gain, Offset
+from truearm.model.robot import Capsules
 from truearm.model.transforms import Element, elementary
-from truearm.model.workspace import Capsules
 from truearm.text import listed
 from truearm.types import Floats, Mask
 from truearm.units import UNITS

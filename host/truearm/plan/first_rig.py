@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from truearm.model.chain import forward, joint_frames
-from truearm.model.robot import Robot
-from truearm.model.workspace import Branch
+from truearm.model.robot import Branch, Robot
 from truearm.plan.branches import branch_of
 from truearm.types import BallBar, Point, Rig
 from truearm.units import CM

@@ -18,13 +18,12 @@ from truearm.estimate.frame_choice import mounting
 from truearm.estimate.result_file import ParameterEstimate, Result, read_result
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
-from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain, point_jacobians
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
 from truearm.model.robot import Robot
-from truearm.model.robot_file import NO_ROBOT, RobotChoice, is_urdf, load_robot
+from truearm.model.robot_file import NO_ROBOT, RobotChoice, builtin_names, is_urdf, load_robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import rotation_vector
 from truearm.report.result_findings import result_findings
 from truearm.report.result_tables import direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of

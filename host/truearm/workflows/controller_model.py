@@ -17,13 +17,12 @@ from truearm.export.toml_tables import dh_rows
 from truearm.export.writing import link_frames
 from truearm.findings import Finding
 from truearm.model import controller_kinematics
-from truearm.model.builtin import builtin_text
 from truearm.model.chain import forward
 from truearm.model.controller_kinematics import JOINTS, ControllerKinematics
-from truearm.model.elementary_transforms import SIX
-from truearm.model.poses import apart, six_of
 from truearm.model.robot import CONTROLLER, Robot, parse_robot
-from truearm.model.robot_file import MAX_BYTES, RobotChoice, is_urdf, load_robot, robot_file
+from truearm.model.robot_file import MAX_BYTES, RobotChoice, builtin_text, is_urdf, load_robot, robot_file
+from truearm.model.robot_tables import SIX
+from truearm.model.transforms import apart, six_of
 from truearm.progress import step
 from truearm.record.robots.rtde import kinematics_info
 from truearm.record.robots.sources import RTDE

@@ -19,9 +19,9 @@ from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.finding_texts import UNDETERMINED
 from truearm.findings import Finding, entries, ordered
 from truearm.model.chain import Chain, forward
-from truearm.model.poses import frame_of, inverted
 from truearm.model.robot_file import RobotChoice, load_robot
 from truearm.model.robot_mounting import mountings
+from truearm.model.transforms import frame_of, inverted
 from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.types import Floats

@@ -34,7 +34,7 @@ from truearm.errors import Argument, InputError
 from truearm.findings import Finding, Reason
 from truearm.model.chain import joint_jacobian
 from truearm.model.inverse import inverse
-from truearm.model.poses import Six, apart, frame_of, inverted
+from truearm.model.transforms import Six, apart, frame_of, inverted
 from truearm.text import counted
 from truearm.types import Floats
 from truearm.workflows.correction_findings import (

@@ -17,7 +17,7 @@ from truearm.correct.correction import Correction, ModelPair, StraightMoves, lim
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.findings import Finding
 from truearm.model.inverse import singular_value
-from truearm.model.poses import apart, inverted, position_and_rotation
+from truearm.model.transforms import apart, inverted, position_and_rotation
 from truearm.report.correction_page import STRAIGHT
 from truearm.strict_json import number_or_null
 from truearm.text import listed

@@ -37,10 +37,9 @@ from truearm.findings import entries
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import write_table
-from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
-from truearm.model.robot import Robot, builtin_robot
-from truearm.model.robot_file import RobotChoice
+from truearm.model.robot import Robot
+from truearm.model.robot_file import RobotChoice, builtin_names, builtin_robot
 from truearm.progress import step
 from truearm.report.page import Certificate, Recording
 from truearm.results import Effect, Estimate, Figures, Fold

@@ -22,8 +22,8 @@ from truearm.workflows.project_file import FILE, Project, format_project, read_p
 
 if TYPE_CHECKING:
     from truearm.findings import Finding
+    from truearm.model.robot import Branch
     from truearm.model.robot_file import RobotChoice
-    from truearm.model.workspace import Branch
     from truearm.types import BallBar, Point, Rig
     from truearm.workflows.requests import FirstRig, SocketSeats
 

@@ -19,8 +19,8 @@ from truearm.export.formats import FORMATS
 from truearm.model.robot_file import NO_ROBOT, RobotChoice
 
 if TYPE_CHECKING:
-    from truearm.model.poses import Six
-    from truearm.model.workspace import Branch
+    from truearm.model.robot import Branch
+    from truearm.model.transforms import Six
     from truearm.types import Payload
 
 PUMA = RobotChoice("puma560")

@@ -24,7 +24,7 @@ from truearm.kinds.registry import drawn_from, kinds
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import column_of_title
 from truearm.model.chain import Chain, forward
-from truearm.model.joint_terms.gain import Gain
+from truearm.model.joint_terms.term import Gain
 from truearm.model.robot import Robot
 from truearm.results import DriftWith, Effect
 from truearm.text import listed

@@ -19,9 +19,8 @@ from truearm.disk import check_writable, own_folder, write_atomic
 from truearm.errors import Argument, IncompleteError, InputError, LinkError, PlanError
 from truearm.interrupt import asked_to_stop
 from truearm.kinds.rig_file import read_rig, write_rig
-from truearm.model.robot import Robot
+from truearm.model.robot import Branch, Robot
 from truearm.model.robot_file import RobotChoice
-from truearm.model.workspace import Branch
 from truearm.plan.branches import branch_of
 from truearm.plan.plan_file import check_against_rig, check_robot, read_plan, write_plan
 from truearm.progress import step

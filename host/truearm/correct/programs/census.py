@@ -16,7 +16,7 @@ import numpy as np
 
 from truearm.correct.programs.program import Datum, Goal, Move, Place, Program
 from truearm.findings import Reason
-from truearm.model.poses import apart, inverted
+from truearm.model.transforms import apart, inverted
 from truearm.types import Floats
 
 SAME = 1e-6  # m, rad between corrections of one literal: below a controller's resolution

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.model.chain_structure import Structure
-from truearm.model.joint_terms.nominal_arm import NominalArm
-from truearm.model.joint_terms.term import Term
+from truearm.model.joint_terms.term import NominalArm, Term
 from truearm.model.transforms import axis_of, cross
 from truearm.types import Floats
 

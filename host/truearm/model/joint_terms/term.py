@@ -1,6 +1,7 @@
-"""The interface of a term of the joint law. ``model.joint_law`` adds the terms up and contains their registry.
+"""The interface of a term of the joint law, and what every law has: offset and gain.
 
-A term's file names its class as ``TERM``.
+``model.joint_law`` adds the terms up and contains their registry. Every other term has a file, which names its class as
+``TERM``.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.chain_structure import Structure
+from truearm.model.chain_structure import Structure, far_frames
 from truearm.types import Floats
 
 
@@ -23,7 +24,7 @@ class Term(ABC):
     derivatives.
 
     A term that needs the robot's geometry uses the nominal one (``structure.links(structure.params_nominal)``,
-    ``chain_frames.far_frames``). θ may depend on all joint readings but not on the identified links; otherwise the
+    ``chain_structure.far_frames``). θ may depend on all joint readings but not on the identified links; otherwise the
     derivatives by these would be incomplete.
     """
 
@@ -75,3 +76,63 @@ class Term(ABC):
     @abstractmethod
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
         """Return ∂value/∂parameter (m, n) of the joint of each parameter; not called for a ``constant`` term."""
+
+
+class Offset(Term):
+    """A constant [rad or m]; for a joint without a parameter it is the fixed ``value`` of the joint's element."""
+
+    name = "offset"
+    unit = None
+    affine = True
+    constant = True
+
+    def __init__(self, structure: Structure, parameters: NDArray[np.intp]) -> None:
+        super().__init__(structure, parameters)
+        self.without = np.array([mover.value for mover in structure.movers])
+
+    def value(self, params: Floats, q: Floats) -> Floats:
+        return self.of(params)[:, None]
+
+    def by_joints(self, params: Floats, q: Floats) -> Floats:
+        return np.zeros((len(self.without), 1))
+
+    def by_parameters(self, params: Floats, q: Floats) -> Floats:
+        return np.ones((len(self.parameters), 1))
+
+
+class Gain(Term):
+    """gain·q; for a joint without a parameter the gain is 1."""
+
+    name = "gain"
+    unit = "1"
+    neutral = 1.0
+    affine = True
+    nonzero = True
+
+    def value(self, params: Floats, q: Floats) -> Floats:
+        return self.of(params)[:, None] * q
+
+    def by_joints(self, params: Floats, q: Floats) -> Floats:
+        return self.of(params)[:, None]
+
+    def by_parameters(self, params: Floats, q: Floats) -> Floats:
+        return q if self.of_every_joint else q[self.joints]
+
+
+class NominalArm:
+    """A chain of j joints with its nominal parameters; ``motions`` are those of the joints."""
+
+    def __init__(self, structure: Structure) -> None:
+        self.motions = structure.motions
+        self._params = structure.params_nominal
+        self._links = structure.links(self._params)
+        self._offset, self._gain = Offset.of_chain(structure), Gain.of_chain(structure)
+
+    def frames(self, q: Floats) -> list[Floats]:
+        """Return frames (n, 4, 4) in the base frame at readings q (j, n): each joint's after its motion, then the end."""
+        angles = self._offset.value(self._params, q) + self._gain.value(self._params, q)
+        return far_frames(self._links, self.motions, angles.T)
+
+    def by_joints(self, q: Floats) -> Floats:
+        """Return the motion of each joint per unit of its reading, (j, 1)."""
+        return self._gain.by_joints(self._params, q)
