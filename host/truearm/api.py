@@ -21,12 +21,10 @@ from truearm.bounds import CELL, LINE_POINTS, MINUTES, PATH, POSES, OneOf
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
-from truearm.disk import write_atomic
-from truearm.display import Displayed
+from truearm.disk import missing_file, write_atomic
 from truearm.errors import Argument, InputError, SessionError, TableError
 from truearm.estimate import result_file
 from truearm.export.formats import FORMATS
-from truearm.file_names import missing_file
 from truearm.kinds import rig_file
 from truearm.kinds import table_file as observation_table
 from truearm.kinds.table import ObservationTable
@@ -36,7 +34,7 @@ from truearm.model.robot_file import builtin_names
 from truearm.plan.ball_bar_plan import BallBarPlan
 from truearm.plan.options import Budget
 from truearm.text import counted
-from truearm.types import Floats, Rig, Rigs
+from truearm.types import Displayed, Floats, Rig, Rigs
 from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
 from truearm.workflows import identify as identification

@@ -1,23 +1,188 @@
-"""Read external files within limits, and write files atomically: a reader sees either the old file or the new one."""
+"""Read external files within limits, and write files atomically: a reader sees either the old file or the new one.
+
+What to say of a file that does not exist or that the system refuses; the kinds of file by their first bytes; and the lock
+of a file that is being written.
+"""
 
 from __future__ import annotations
 
+import difflib
+import errno
 import hashlib
 import os
 import platform
 import re
 import shutil
 import tempfile
+import time
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from io import BufferedReader
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple
 
-from truearm.errors import InputError, WriteError
-from truearm.file_kind import HEAD, KINDS
-from truearm.file_names import DISK_FAILED, open_input, reading, system_reason
+from truearm.errors import InputError, MissingFileError, WriteError
 from truearm.schema import load_toml
+
+# -------------------------------------------------------------------------------------------------------- kinds of file
+
+HEAD = 4096  # bytes
+
+
+class FileKind(NamedTuple):
+    """A kind of file: its description, the suffixes of its name (none: any), and a pattern of its beginning."""
+
+    description: str
+    suffixes: tuple[str, ...]
+    beginning: bytes
+
+    def fits(self, head: bytes) -> bool:
+        """Return whether a file with this beginning is of this kind."""
+        return re.search(self.beginning, head, re.MULTILINE | re.IGNORECASE) is not None
+
+
+RIG_KEYS = rb"^(\[\[?(bar|chuck|sphere|socket|target|tracker|line)\b|\w+_sigma_(m|mm|rad|deg)\s*=)"
+PLAN_HEADER = rb'\A[\xef\xbb\xbf\s]*+(?!.*\bkind\b)([\w" ]*,)*[" ]*pose[" ]*[,\r\n]'  # its columns stand in any order
+KINDS = {
+    "session": FileKind("a session (.mcap)", (".mcap",), rb"\A\x89MCAP"),
+    "result": FileKind("a result (result.json)", (".json",), rb'\A\s*\{\s*"format":\s*"truearm-result"'),
+    "page": FileKind("a page (.html)", (".html",), rb'<meta name="generator" content="truearm">'),
+    "picture": FileKind("a map (.svg)", (".svg",), rb"\A<svg[^\0]*Error of"),
+    "robot": FileKind("a robot (.toml or .urdf)", (), rb"<robot\b|^convention\s*="),
+    "exported": FileKind("a robot for another program", (), rb"written by truearm export"),
+    "noise": FileKind("a noise file (.toml)", (".toml",), rb"\A# noise of a robot"),
+    "plan": FileKind("a plan (plan.csv)", (".csv",), PLAN_HEADER),
+    "program": FileKind("a program", (), rb"\A(pose,|def truearm_|MODULE truearm_)"),
+    "map": FileKind("a map (.csv)", (".csv",), rb"\Au_mm,v_mm"),
+    "fleet": FileKind("a table of arms (.csv)", (".csv",), rb"\Aarm,robot,serial"),
+    "curves": FileKind("a table of error curves (.csv)", (".csv",), rb"\Ajoint,reading_deg,error_mrad"),
+    "targets": FileKind("a table of targets (.csv)", (".csv",), rb"\A.*\bafter_mm\b"),
+    "table": FileKind("a table of observations (.csv)", (".csv",), rb"\A(\w+,)*kind,"),
+    "project": FileKind("a project's file (truearm.toml)", (".toml",), rb"^model\s*="),
+    "rig": FileKind("a rig (rig.toml)", (".toml",), RIG_KEYS),
+    "truth": FileKind("the truth of a simulation (.json)", (".json",), rb'"truearm-truth"'),
+    "configuration": FileKind("a box's configuration (.toml)", (".toml",), rb"\A# The configuration of a truearm box"),
+}
+
+
+def kind_of(path: Path) -> str | None:
+    """Return the kind of a file, a key of ``KINDS``; None if it is no file or its kind is not recognised."""
+    try:
+        if not path.is_file():  # a pipe would be waited for
+            return None
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+    except (OSError, ValueError):
+        return None
+    return next((name for name, kind in KINDS.items() if kind.fits(head)), None)
+
+
+# -------------------------------------------------------------------------------------------------------------- opening
+
+MOST_NAMES = 10_000  # of a folder that are compared
+
+
+def open_input(path: Path) -> BufferedReader:
+    """Open a regular file for reading. Raises MissingFileError if there is none, InputError if it cannot be read."""
+    if "\0" in str(path) or (os.path.exists(path) and not os.path.isfile(path)):
+        raise InputError("unreadable-file", place=path)  # reading a pipe or a device would block or never end
+    with reading(path):
+        return path.open("rb")
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn what the system says about a file that it cannot read into InputError."""
+    try:
+        yield
+    except FileNotFoundError as exc:
+        raise missing_file(path) from exc
+    except OSError as exc:
+        raise InputError("unreadable-file", place=path, reason=system_reason(exc)) from exc
+
+
+def missing_file(path: Path) -> MissingFileError:
+    """Return the error for a file that does not exist, with the name that was probably meant."""
+    folder = path.parent
+    try:
+        if not folder.is_dir():
+            return MissingFileError("missing-file", place=path, folder=folder)
+        names = [entry.name for entry in islice(folder.iterdir(), MOST_NAMES) if entry.name != path.name]
+        if path.suffix:  # "results" is a folder, not what "result.json" should have been
+            names = [name for name in names if not (folder / name).is_dir()]
+    except OSError:  # a folder that may not be listed
+        names = []
+    close = difflib.get_close_matches(path.name, names, n=1, cutoff=0.75)
+    meant = str(folder / close[0]) if close else ""
+    return MissingFileError("missing-file", place=path, meant=meant)
+
+
+DISK_FAILED = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # whatever the name of the file
+_REMEDIES = {
+    errno.EACCES: "change its permissions, or use another folder",
+    errno.EPERM: "change its permissions, or use another folder",
+    errno.EROFS: "use another folder",
+    errno.ENAMETOOLONG: "use a shorter name",
+    errno.ENOTDIR: "check the path: a file stands where a folder should be",
+    errno.EISDIR: "give a file, not a folder",
+    errno.ENOSPC: "free some space, or use another disk",
+    errno.EDQUOT: "free some space, or use another disk",
+    errno.EMFILE: "close other programs",
+    errno.ENFILE: "close other programs",
+    errno.EIO: "copy it to another disk: this one may fail",
+}
+
+
+def system_reason(exc: Exception) -> str:
+    """Return the system's reason, and what to do about it."""
+    reason, number = getattr(exc, "strerror", None) or str(exc), getattr(exc, "errno", None) or 0
+    return f"{reason}; {_REMEDIES.get(number, 'check the path, the disk and its permissions')}"
+
+
+# ---------------------------------------------------------------------------------------------------------------- locks
+#
+# The process that writes a session holds a lock on it, so that other programs can see whether a recording is still running.
+# The lock is the operating system's (flock): it is released when the process ends, in whatever way. It prevents nobody from
+# reading or deleting the file. If the system has no locks, or a network drive refuses them, a file that was written to
+# recently counts as held.
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+A_MOMENT_S = 5.0  # a recorder writes every second
+
+
+def hold(file: BinaryIO) -> bool:
+    """Hold a file that is open for writing until it is closed; return False if another process holds it."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a drive without locks: the recording continues
+            pass
+    return True
+
+
+def is_held(path: Path) -> bool:
+    """Return whether some process is writing to a file."""
+    if fcntl is not None:
+        try:
+            with path.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            return False
+        except BlockingIOError:
+            return True
+        except OSError:
+            pass
+    return time.time() - path.stat().st_mtime < A_MOMENT_S
+
+
+# -------------------------------------------------------------------------------------------------- reading and writing
 
 SESSION_MAGIC = b"\x89MCAP"
 COMPRESSED = ".xz"

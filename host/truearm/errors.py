@@ -1,4 +1,4 @@
-"""Every error that truearm raises on purpose.
+"""Every error that truearm raises on purpose, and the exit codes of all commands.
 
 ::
 
@@ -26,12 +26,43 @@ import errno
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from enum import IntEnum
 from typing import Any, Self
 
-from truearm.exit_codes import ExitCode
 from truearm.finding_texts import STATEMENTS
 from truearm.findings import Argument as Argument
 from truearm.findings import Finding
+
+
+class ExitCode(IntEnum):
+    """How a command ended. ``meaning`` is the text for users.
+
+    Examples
+    --------
+    >>> from truearm.errors import ExitCode
+    >>> int(ExitCode.INPUT), ExitCode.INPUT.meaning
+    (2, 'an option, a file or the data in it is wrong')
+    """
+
+    meaning: str
+
+    def __new__(cls, value: int, meaning: str) -> ExitCode:
+        member = int.__new__(cls, value)
+        member._value_, member.meaning = value, meaning
+        return member
+
+    DONE = 0, "done"
+    FAILED = 1, "the box or the robot is missing or failed, or the disk or the program that reads the output failed"
+    INPUT = 2, "an option, a file or the data in it is wrong"
+    UNUSABLE = 3, "the fit is not usable (the result is written anyway, marked as not usable)"
+    INCOMPLETE = 4, "incomplete: the recording or the correction (what there is was kept)"
+    INTERRUPTED = 130, "interrupted"
+
+
+def exit_code_table() -> str:
+    """Return the codes with their meanings in one line."""
+    return "; ".join(f"{code.value} {code.meaning}" for code in ExitCode) + "."
+
 
 _JSON = (Argument, int, float, list, tuple, dict, type(None))  # other values become texts
 # the place in "PLACE: REASON": one word, or what names a file or an option; other words before a colon are a sentence

@@ -1,4 +1,4 @@
-"""The progress of long computations: the current step and its completed share.
+"""Long work: the current step and its completed share, signals that end it, and a pause of the garbage collector.
 
 Code that may take seconds names its steps with ``step`` or ``steps_of``. A caller that displays them registers with
 ``listening``; without a listener nothing happens. The listener belongs to the context (``contextvars``): threads and
@@ -7,6 +7,9 @@ other callers do not share it.
 
 from __future__ import annotations
 
+import gc
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -48,3 +51,42 @@ def steps_of(items: Sequence[T], name: str) -> Iterator[T]:
         for done, item in enumerate(items):
             advance(done / len(items))
             yield item
+
+
+_NUMBERS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextmanager
+def asked_to_stop() -> Iterator[Callable[[], bool]]:
+    """Make Ctrl-C, SIGTERM and a closed terminal only set a flag.
+
+    An exception could occur in the middle of a record of the file.
+    """
+    flag = threading.Event()
+    signals = [
+        n for n in _NUMBERS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN
+    ]  # nohup ignores SIGHUP
+    handlers = {number: signal.signal(number, lambda *_: flag.set()) for number in signals}
+    try:
+        yield flag.is_set
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Disable cyclic garbage collection while many objects without cycles are made: it would scan all of them repeatedly.
+
+    At the end they join the objects that are scanned least often, or the first of many small allocations would scan
+    them all.
+    """
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.freeze()
+            gc.unfreeze()
+            gc.enable()

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.arguments import converted
-from truearm.display import Displayed
 from truearm.findings import Finding
-from truearm.types import Floats, Law, Payload, Residuals, as_column, not_left_out, rms
+from truearm.types import Displayed, Floats, Law, Payload, Residuals, as_column, not_left_out, rms
 from truearm.units import DEG, MM, MRAD
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from truearm import errors
 from truearm.cli import main as cli
-from truearm.exit_codes import ExitCode
+from truearm.errors import ExitCode
 
 ROOT = Path(__file__).parents[2]
 HOST = ROOT / "host" / "truearm"

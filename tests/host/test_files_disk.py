@@ -7,8 +7,7 @@ import pytest
 from tests.refusals import refused
 
 from truearm.disk import check_writable, own_folder, same_file, write_atomic
-from truearm.errors import InputError, WriteError
-from truearm.exit_codes import ExitCode
+from truearm.errors import ExitCode, InputError, WriteError
 
 
 def test_inputs_and_files_of_others_are_never_outputs(tmp_path):

@@ -9,8 +9,8 @@ from puma_bench import RIG as PUMA_RIG
 from tests.refusals import ended, refused
 
 from truearm.cli.main import main
+from truearm.disk import KINDS
 from truearm.errors import RigError
-from truearm.file_kind import KINDS
 from truearm.kinds.rig_file import NoiseFile, check_against_rigs, format_noise, parse_noise, with_noise, write_rig
 from truearm.kinds.table_file import write_table
 from truearm.types import BallBar, Point, Rig

@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 from tests.refusals import refused
 
 from truearm.api import load_robot
+from truearm.disk import kind_of
 from truearm.errors import PlanError
-from truearm.file_kind import kind_of
 from truearm.plan.plan_file import check_against_rig, concatenate, format_plan, parse_plan, read_plan
 from truearm.types import Device, Plan, Point, Rig
 from truearm.workflows.export import _poses_of

@@ -33,7 +33,7 @@ from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table_file import parse_table
 from truearm.report.result_findings import result_findings
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Unusable
-from truearm.strict_json import strict_json
+from truearm.text import strict_json
 
 RESULTS = Path(__file__).parents[1] / "data" / "results"
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))

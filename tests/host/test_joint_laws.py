@@ -31,7 +31,7 @@ from truearm.model.poses import position_and_rotation
 from truearm.plan.forecast import Knowledge, curve_forecasts
 from truearm.report.figures import law_figures
 from truearm.report.result_findings import law_findings
-from truearm.strict_json import strict_json
+from truearm.text import strict_json
 from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.correct import correct_file

@@ -14,9 +14,9 @@ from operator_scripts import Visit, forgetful, lengths, pairing_at, script, writ
 from tests.refusals import ended
 
 from truearm.cli.main import main
+from truearm.disk import hold
 from truearm.findings import Finding
 from truearm.model.robot_file import builtin_robot
-from truearm.record.write_lock import hold
 from truearm.session.plan_matching import labels_path, read_labels
 from truearm.types import BAR_MOUNTED
 from truearm.workflows.inputs import Sources, read_sources

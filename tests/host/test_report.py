@@ -11,7 +11,7 @@ import pytest
 from report_bench import HOSTILE, Strict, both, cells_of, drawings, make_page, render, rms, titles, with_rotation
 from scipy import stats
 
-from truearm.file_kind import KINDS
+from truearm.disk import KINDS
 from truearm.findings import Finding
 from truearm.kinds import NAMES
 from truearm.kinds.registry import kinds

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from truearm.box.condition import LVDT, far_from_calibration, with_spread
 from truearm.box.control import BoxControl, Sent, conversation, one_line_of, streaming
 from truearm.findings import option
-from truearm.interrupt import asked_to_stop
+from truearm.progress import asked_to_stop
 from truearm.session.clock import fit_clock
 from truearm.session.frames import Channel, Ident, Stream
 from truearm.session.samples import counts_of, railed, volts

@@ -22,8 +22,7 @@ from truearm.cli.command import Answer, command
 from truearm.cli.output import print_lines
 from truearm.cli.project import CommandGroup
 from truearm.disk import check_writable, read_text, write_atomic
-from truearm.errors import ConfigError, InputError, TruearmError
-from truearm.exit_codes import ExitCode
+from truearm.errors import ConfigError, ExitCode, InputError, TruearmError
 from truearm.findings import Finding, entries, option, ordered
 from truearm.live.choose_box import choose_box
 from truearm.record.links import usb_ports

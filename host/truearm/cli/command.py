@@ -47,8 +47,7 @@ from truearm.bounds import OneOf, Within
 from truearm.cli import options
 from truearm.cli.output import DETAILS, print_json, print_lines, show
 from truearm.cli.project import EXPERT, CommandGroup, Parameter, ProjectCommand
-from truearm.errors import TruearmError
-from truearm.exit_codes import ExitCode
+from truearm.errors import ExitCode, TruearmError
 from truearm.findings import Finding, findings_of
 from truearm.model.robot_file import builtin_names
 

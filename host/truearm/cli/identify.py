@@ -13,9 +13,8 @@ from truearm.bounds import LINE_POINTS, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import command_line, issue_of, joints_of, sources_of
 from truearm.cli.project import typed
-from truearm.errors import Argument, InputError
+from truearm.errors import Argument, ExitCode, InputError
 from truearm.estimate.solvers import SOLVERS, with_loss
-from truearm.exit_codes import ExitCode
 from truearm.findings import Finding, entries, option
 from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.text import one_line

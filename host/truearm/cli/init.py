@@ -16,8 +16,8 @@ from truearm.bounds import OneOf, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.options import READERS
 from truearm.cli.project import typed
+from truearm.disk import missing_file
 from truearm.errors import Argument, InputError
-from truearm.file_names import missing_file
 from truearm.model.robot_file import builtin_names
 from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.record.robots.sources import check_address

@@ -1,6 +1,6 @@
 """The command line: click's; errors become one line on stderr and an exit code.
 
-The exit codes stand in ``truearm.exit_codes``. To add a command, write it in the module of its task, or as a group of
+The exit codes stand in ``truearm.errors``. To add a command, write it in the module of its task, or as a group of
 commands ``app`` in a module of its own, and add it to ``TASKS``.
 """
 
@@ -90,7 +90,7 @@ def command_tree(names: tuple[str, ...] = COMMANDS) -> Tasks:
     tree = Tasks(
         "truearm",
         help="Measure a robot arm, identify its kinematic parameters with their uncertainty, and correct its targets.",
-        epilog=f"In a project folder, you can leave out options and files, even those marked as required: truearm.toml provides them. See truearm init --help.\n\nTo complete commands in bash: source <({_COMPLETE}=bash_source truearm); zsh and fish work alike.\n\nExit codes: {table()}\n\nExample: truearm demo",
+        epilog=f"In a project folder, you can leave out options and files, even those marked as required: truearm.toml provides them. See truearm init --help.\n\nTo complete commands in bash: source <({_COMPLETE}=bash_source truearm); zsh and fish work alike.\n\nExit codes: {exit_code_table()}\n\nExample: truearm demo",
     )
     for name in names:
         module = vars(import_module(f"truearm.cli.{MODULES[name]}"))

@@ -13,8 +13,7 @@ from truearm.bounds import MINUTES, POSES, Within
 from truearm.cli.command import Answer, command
 from truearm.cli.output import print_json
 from truearm.cli.project import CommandGroup, ProjectCommand, project_model, typed
-from truearm.errors import IncompleteError
-from truearm.exit_codes import ExitCode
+from truearm.errors import ExitCode, IncompleteError
 from truearm.findings import entries
 from truearm.model.robot_file import NO_ROBOT, RobotChoice
 from truearm.plan.options import ApproachOptions, Budget, LineOptions, PoseOptions

@@ -17,7 +17,6 @@ import click
 from click.core import ParameterSource
 
 from truearm.errors import InputError
-from truearm.file_kind import KINDS, kind_of
 from truearm.workflows.project_file import Project, project_of
 
 ALIKE = 0.75  # of two names, by difflib: less is another word

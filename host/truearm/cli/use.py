@@ -10,8 +10,7 @@ from truearm.cli.command import Answer, command
 from truearm.cli.options import joints_of
 from truearm.cli.output import print_lines
 from truearm.correct.methods import methods_help, with_steps
-from truearm.errors import InputError
-from truearm.exit_codes import ExitCode
+from truearm.errors import ExitCode, InputError
 from truearm.export.formats import formats_help
 from truearm.findings import entries
 from truearm.workflows.requests import CorrectFiles, CorrectOptions, ExportFiles

@@ -46,7 +46,7 @@ from truearm.model.robot_mounting import NONE, Mountings, own_law
 from truearm.model.rotation import rotation_vector
 from truearm.option_defaults import MARGIN
 from truearm.text import counted
-from truearm.types import Floats
+from truearm.types import Displayed, Floats
 
 ROUNDING = 1e-9  # m, rad: below this, an iteration only changes the last digits
 TURNS = 3  # of a free orientation: each makes its error by the mounting of the tool a hundred times smaller

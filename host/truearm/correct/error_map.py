@@ -29,7 +29,7 @@ from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.results import MOVES
 from truearm.text import counted
-from truearm.types import Floats, rms
+from truearm.types import Displayed, Floats, rms
 from truearm.units import MM
 
 SAMPLES = 100  # of each of the two joints

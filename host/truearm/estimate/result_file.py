@@ -24,7 +24,7 @@ from truearm.disk import read_text, sha256, write_atomic
 from truearm.errors import InputError
 from truearm.estimate.solvers import Loss, Prior
 from truearm.results import Addition, Defaults, NullDirection, Unusable
-from truearm.strict_json import strict_json
+from truearm.text import strict_json
 from truearm.types import Floats, Law, Payload
 from truearm.units import MM, UNITS
 

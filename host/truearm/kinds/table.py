@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.arguments import converted
-from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.kinds.columns import blank_row, is_label, quantities
 from truearm.model.chain_structure import Mimic, completed
-from truearm.types import as_column
+from truearm.types import Displayed, as_column
 
 MOTIONS = ("q_rate", "side")  # columns of all joints, in addition to q
 

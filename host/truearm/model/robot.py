@@ -41,14 +41,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from truearm.arguments import floats
-from truearm.display import Displayed
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, forward
 from truearm.model.chain_structure import Joint
 from truearm.model.robot_tables import MAX_JOINTS, MAX_NAME, Description, chain_from_slots, read_tables, robot_number
 from truearm.schema import Key, List, Number, SchemaError, Table, Text, Whole, at, load_toml, raising
 from truearm.text import counted
-from truearm.types import Floats
+from truearm.types import Displayed, Floats
 from truearm.units import DEG
 
 # ------------------------------------------------------------------------------------------------------ what plans need

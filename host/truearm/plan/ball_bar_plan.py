@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.display import Displayed
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.bar_paths import Pace, roadmaps
@@ -24,7 +23,7 @@ from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
 from truearm.progress import step
 from truearm.text import counted
-from truearm.types import Plan, Rig
+from truearm.types import Displayed, Plan, Rig
 from truearm.units import UNITS
 
 TRIALS = 6  # numbers of poses tried to meet a time budget

@@ -33,9 +33,9 @@ from typing import Any, BinaryIO, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
+from truearm.disk import hold
 from truearm.errors import InputError, WriteError
 from truearm.record.links import Clock
-from truearm.record.write_lock import hold
 from truearm.session.joint_format import ARRAYS, COLUMNS, JOINTS, READINGS, JointLine, columns_of_rows, pack, parse_line
 from truearm.session.session_file import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.collector import uncollected
+from truearm.progress import uncollected
 from truearm.session.session_file import LATEST_NS
 from truearm.types import Ints
 

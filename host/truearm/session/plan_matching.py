@@ -35,7 +35,7 @@ from truearm.schema import NAME
 from truearm.session.dwells import POSE_TOLERANCE, Dwell
 from truearm.session.joint_format import Joints
 from truearm.session.line_passes import LONGEST_S, Leg, LinePass
-from truearm.strict_json import number_or_null, strict_json
+from truearm.text import number_or_null, strict_json
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, MOUNTING, DwellLabel, Floats, Move, Plan, Rig
 
 FITTINGS = (*MOUNTED, "shell")

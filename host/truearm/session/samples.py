@@ -27,8 +27,8 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from truearm import units
+from truearm.disk import system_reason
 from truearm.errors import SessionError
-from truearm.file_names import system_reason
 from truearm.session.clock import DeviceClock, host_times
 from truearm.session.frames import FRAME, RATIO_STEP, Channel, Data, Ident, Stream, find_channels
 from truearm.session.streams import Blocks

@@ -36,8 +36,8 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 from zstandard import ZstdDecompressor
 
+from truearm.disk import open_input
 from truearm.errors import SessionError
-from truearm.file_names import open_input
 from truearm.progress import step
 from truearm.types import Ints, Message
 

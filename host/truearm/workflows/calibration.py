@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from truearm.arguments import converted, floats
-from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.result_file import ParameterEstimate, Result, read_result
@@ -27,7 +26,7 @@ from truearm.model.transforms import rotation_vector
 from truearm.report.result_findings import result_findings
 from truearm.report.result_tables import direction_text, parameter_table
 from truearm.results import MOVES, Estimate, NullDirection, PredictedError, weights_of
-from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, Rigs, SagMasses
+from truearm.types import CENTRE, MASS, CurveKnots, Displayed, Floats, Law, Payload, Rigs, SagMasses
 from truearm.units import DEG, MM, UNITS
 from truearm.workflows.requests import UsedResult
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.collector import uncollected
 from truearm.correct.configurations import Origins, several_fit, solutions, within
 from truearm.correct.correction import (
     Configuration,
@@ -35,6 +34,7 @@ from truearm.findings import Finding, Reason
 from truearm.model.chain import joint_jacobian
 from truearm.model.inverse import inverse
 from truearm.model.transforms import Six, apart, frame_of, inverted
+from truearm.progress import uncollected
 from truearm.text import counted
 from truearm.types import Floats
 from truearm.workflows.correction_findings import (

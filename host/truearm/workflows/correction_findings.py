@@ -19,8 +19,7 @@ from truearm.findings import Finding
 from truearm.model.inverse import singular_value
 from truearm.model.transforms import apart, inverted, position_and_rotation
 from truearm.report.correction_page import STRAIGHT
-from truearm.strict_json import number_or_null
-from truearm.text import listed
+from truearm.text import listed, number_or_null
 from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown
 from truearm.workflows.calibration import Calibration, unseen_within

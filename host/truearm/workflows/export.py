@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from truearm.disk import check_outputs, check_writable, read_text, write_atomic
-from truearm.display import Displayed
+from truearm.disk import HEAD, KINDS, check_outputs, check_writable, read_text, write_atomic
 from truearm.errors import Argument, InputError, RobotError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
 from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, written
-from truearm.file_kind import HEAD, KINDS
 from truearm.findings import Finding, ordered
 from truearm.kinds.table_file import read_table
 from truearm.model.chain import Chain
@@ -23,7 +21,7 @@ from truearm.model.robot_file import MAX_BYTES
 from truearm.plan.plan_file import read_plan
 from truearm.progress import step
 from truearm.text import one_line
-from truearm.types import CurveKnots, Floats, rms, thinned
+from truearm.types import CurveKnots, Displayed, Floats, rms, thinned
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, check_within, largest_readings, mounting_values, read_usable
 from truearm.workflows.requests import ExportFiles

@@ -14,10 +14,8 @@ from typing import Any
 
 import msgspec
 
-from truearm.disk import check_writable, write_atomic
-from truearm.errors import Argument, InputError, TruearmError
-from truearm.exit_codes import ExitCode
-from truearm.file_names import system_reason
+from truearm.disk import check_writable, system_reason, write_atomic
+from truearm.errors import Argument, ExitCode, InputError, TruearmError
 from truearm.kinds.csv_cells import csv_text
 from truearm.progress import step
 from truearm.report.result_findings import verdict

@@ -16,8 +16,7 @@ from truearm.progress import step
 from truearm.report.session_findings import session_findings
 from truearm.session.joint_format import parse_line
 from truearm.session.session_tables import dwell_columns, pass_columns, rows_of
-from truearm.strict_json import without_nan
-from truearm.text import one_line
+from truearm.text import one_line, without_nan
 from truearm.types import Move
 from truearm.units import NS, PPM
 from truearm.workflows.recorded_session import paired, surveyed

@@ -31,7 +31,7 @@ from truearm.plan.route import Signals, Stop, Task, Visits
 from truearm.plan.route_program import check_language, program
 from truearm.progress import step
 from truearm.report.result_findings import held_frames
-from truearm.strict_json import number_or_null
+from truearm.text import number_or_null
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, read_calibration

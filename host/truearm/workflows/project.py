@@ -252,7 +252,7 @@ def state_of(path: Path) -> dict[str, Any]:
 
 def _session(path: Path, project: Project) -> dict[str, Any]:
     """Return a recording: ``other_robot`` is the one for which it was recorded if that is not the project's."""
-    from truearm.record.write_lock import is_held
+    from truearm.disk import is_held
     from truearm.session.session_file import has_footer
     from truearm.workflows.recorded_session import recorded_model
 

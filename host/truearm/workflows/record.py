@@ -15,18 +15,17 @@ from truearm.box.configuration import MODULATOR_NS
 from truearm.disk import check_writable, read_bytes
 from truearm.errors import Argument, IncompleteError, InputError, RigError, TruearmError, WriteError
 from truearm.findings import Finding, entries, option
-from truearm.interrupt import asked_to_stop
 from truearm.kinds.rig_file import MAX_BYTES, parse_rig, read_rig
 from truearm.live.choose_box import choose_box
 from truearm.live.state import LiveState, SessionProgress, check_mounted, parse_mounted
 from truearm.live.view import showing
 from truearm.plan.plan_file import check_against_rig, read_plan
+from truearm.progress import asked_to_stop
 from truearm.record import recorder
 from truearm.record.links import BoxPort, HostClock, Reopening
 from truearm.record.operator import Counters, RecordSummary
 from truearm.record.robots.sources import open_source
 from truearm.record.session_writer import SessionWriter
-from truearm.record.write_lock import is_held
 from truearm.session.dwells import POSE_TOLERANCE, needs_decision
 from truearm.session.plan_matching import distances
 from truearm.session.session_file import open_session

@@ -17,13 +17,12 @@ import numpy as np
 from truearm.box.condition import LVDT_DRIFT
 from truearm.disk import check_writable, own_folder, write_atomic
 from truearm.errors import Argument, IncompleteError, InputError, LinkError, PlanError
-from truearm.interrupt import asked_to_stop
 from truearm.kinds.rig_file import read_rig, write_rig
 from truearm.model.robot import Branch, Robot
 from truearm.model.robot_file import RobotChoice
 from truearm.plan.branches import branch_of
 from truearm.plan.plan_file import check_against_rig, check_robot, read_plan, write_plan
-from truearm.progress import step
+from truearm.progress import asked_to_stop, step
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.text import counted

@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.checks.examination import MEAN, faults_beside
-from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.estimate.circumstances import payloads_of
 from truearm.estimate.copied_rows import copied_rows
@@ -35,8 +34,8 @@ from truearm.model.chain import forward
 from truearm.progress import step
 from truearm.report.validation_findings import BY_PLACE, error_tables, validation_findings
 from truearm.results import Effect, Figures
-from truearm.strict_json import without_nan
-from truearm.types import Floats, Mask, Rig, Rigs, rms
+from truearm.text import without_nan
+from truearm.types import Displayed, Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key, shown
 from truearm.workflows.calibration import Calibration, covariance_of, unseen_of
 from truearm.workflows.inputs import Observed

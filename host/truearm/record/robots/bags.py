@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from truearm.disk import open_input
 from truearm.errors import Argument, InputError, SessionError
-from truearm.file_names import open_input
 from truearm.record.robots.joint_table import NO_ARRIVAL
 from truearm.record.robots.sources import AddedReading, FileOptions
 from truearm.schema import quoted

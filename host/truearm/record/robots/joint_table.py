@@ -18,8 +18,8 @@ from pathlib import Path
 from types import NoneType
 from typing import IO, Any
 
+from truearm.disk import open_input, reading
 from truearm.errors import Argument, InputError, TableError
-from truearm.file_names import open_input, reading
 from truearm.kinds.csv_cells import MAX_COLUMNS, NUMBER, Column, Row, read_header, rows_of
 from truearm.record.intake import MAX_LINE
 from truearm.record.robots.sources import AddedReading, FileOptions
