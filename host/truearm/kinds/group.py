@@ -8,9 +8,6 @@ below P) have a column in the Jacobian.
 The Jacobian is kept as the product ``wrenches @ twists`` for the robot's params (model/chain.py), as it is computed. An
 estimator folds only the wrenches, which have fewer columns. Arrays (w, n, c) are stored component by component: all
 poses of one column are contiguous.
-
-Each scalar residual of an observation has a unit (``COMPONENTS``). Those of one unit give one figure per observation:
-the signed residual if there is one, otherwise their norm. Figures of different units are never pooled.
 """
 
 from __future__ import annotations
@@ -254,7 +251,10 @@ class Group(ABC):
         return replace(self, **values)
 
     def by_unit(self, residual: Floats) -> dict[str, Floats]:
-        """Return the residuals (n·w,) as figures (n,) by unit."""
+        """Return the residuals (n·w,) as figures (n,) by unit, which are never pooled.
+
+        The components of one unit give one figure per observation: the signed residual if there is one, or their norm.
+        """
         components = residual.reshape(len(self.sensor_cov), -1)
         return {unit: _figure(components[:, columns]) for unit, columns in unit_columns(self.COMPONENTS).items()}
 

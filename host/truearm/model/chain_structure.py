@@ -5,11 +5,6 @@ The terms of the joint law are built on this; ``model.chain`` adds the law and t
 **Mimic joints** have no encoder and move with another joint, as in the parallelogram of a palletizer. The reading of one is
 ``multiplier``·q + ``offset`` of the joint that it follows. Its true angle follows from this reading by its own law, so a
 robot with mimic joints is an ordinary serial chain.
-
-**Constant folding** computes what is equal for all poses once for each set of params: the links (runs of constants) and
-the matrix that converts wrenches to derivatives by parameters (derived in chain.py). Twists and wrenches are ordered by
-axis here, (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment. A joint about an axis rotates two such pairs into
-each other and leaves the third unchanged.
 """
 
 from __future__ import annotations
@@ -60,6 +55,11 @@ def completed(q: Floats, mimics: Mapping[int, Mimic], n_joints: int) -> Floats:
 
 
 # ----------------------------------------------------------------------------------------------------- constant folding
+#
+# What is equal for all poses, computed once for each set of params: the links (runs of constants) and the matrix that
+# converts wrenches to derivatives by parameters (derived in chain.py). Twists and wrenches are ordered by axis here,
+# (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment. A joint about an axis rotates two such pairs into each other
+# and leaves the third unchanged.
 
 
 class Constants(NamedTuple):

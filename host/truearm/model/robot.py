@@ -18,14 +18,6 @@
     a_mm = { design = 0.0 }
     alpha_deg = { design = -90.0 }
     …
-    [branch]                           # for plans: joint bounds without a singularity inside
-    lower_deg = [-150.0, -170.0, …]
-    upper_deg = [150.0, -10.0, …]
-    [[capsule]]                        # for plans: all within a radius of a segment that moves with a joint
-    joint = 2                          # 0: fixed to the base
-    start_mm = [0.0, 0.0, 135.0]
-    end_mm = [-425.0, 0.0, 135.0]
-    radius_mm = 95.0
 
 ``robot_tables`` reads the tables. docs/reference/robot-format.md describes every key.
 """
@@ -51,6 +43,17 @@ from truearm.types import Displayed, Floats
 from truearm.units import DEG
 
 # ------------------------------------------------------------------------------------------------------ what plans need
+#
+#     [branch]                           # joint bounds without a singularity inside
+#     lower_deg = [-150.0, -170.0, …]
+#     upper_deg = [150.0, -10.0, …]
+#     clearance_mm = 220.0               # from the base's z axis; left out: 250
+#     height_mm = 80.0                   # above z = 0; left out: 80
+#     [[capsule]]                        # all within a radius of a segment that moves with a joint
+#     joint = 2                          # 0: fixed to the base
+#     start_mm = [0.0, 0.0, 135.0]
+#     end_mm = [-425.0, 0.0, 135.0]
+#     radius_mm = 95.0
 
 MAX_CAPSULES = 100
 CLEARANCE, HEIGHT = 0.25, 0.08  # m

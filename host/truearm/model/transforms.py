@@ -7,10 +7,6 @@ change of the parameters to a small rotation about the base axes, which is Rende
     J_l = I + b [ω]× + c [ω]×²     c = (θ − sin θ)/θ³ .
 
 a, b and c are analytic in θ², and near 0 they are summed as series, so complex steps are propagated.
-
-A difference of poses is (…, 6): position [m], then a rotation vector [rad], both in base axes. ``goal = moved(start,
-apart(goal, start))``, that is R_goal = exp(w)·R_start. Angles of successive rotations must not be added; rotation vectors
-compose in this way.
 """
 
 from __future__ import annotations
@@ -228,7 +224,11 @@ Six = tuple[float, float, float, float, float, float]
 
 
 def apart(goal: Floats, start: Floats) -> Floats:
-    """Return the differences (n, 6) from poses ``start`` to ``goal`` (n, 4, 4)."""
+    """Return the differences (n, 6) from poses ``start`` to ``goal`` (n, 4, 4).
+
+    These are position [m], then a rotation vector [rad], both in base axes: R_goal = exp(w)·R_start. Angles of successive
+    rotations must not be added; rotation vectors compose in this way.
+    """
     turn = rotation_vector(goal[:, :3, :3] @ start[:, :3, :3].swapaxes(-1, -2))
     return np.concatenate([goal[:, :3, 3] - start[:, :3, 3], turn], axis=-1)
 

@@ -4,13 +4,6 @@ Of the box, only what the recording itself needs is evaluated: the ident (for th
 answers to commands, clock exchanges, and ``seq`` for counting losses. This takes about 9 µs per data frame, 5 of them for
 the file. A box that restarts shows a new boot id in its ident or heartbeat, or its frame count steps back. After the
 latter, ``suspect`` asks the recorder to have the box identify itself, and its boot id decides.
-
-**Clock exchanges.** t0 is the host time before the request was handed over, t3 the arrival of the reply; the box's t1 and
-t2 lie between them (SPEC §4). A request without an answer within 2 s becomes a row with nulls.
-
-**The robot** sends JSON lines, distinguished from anything else that it may print. A closed connection does not show the
-reason: a restarted controller, a crashed program and a finished one all close it in the same way. The recorder therefore
-waits for the robot as after any loss. A program that has finished announces this beforehand with the line ``END``.
 """
 
 from __future__ import annotations
@@ -52,7 +45,11 @@ _LARGEST_UNNAMED_STREAM = 255
 
 @dataclass
 class BoxStorage:
-    """The box's side of a recording. ``requests`` takes the answers to commands."""
+    """The box's side of a recording. ``requests`` takes the answers to commands.
+
+    Of a clock exchange, t0 is the host time before the request was handed over, t3 the arrival of the reply; the box's t1
+    and t2 lie between them (SPEC §4). A request without an answer within 2 s becomes a row with nulls.
+    """
 
     writer: SessionWriter
     counters: Counters
@@ -219,7 +216,9 @@ EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 class RobotIntake:
     """The robot's side of a recording: the lines of its stream, as received without their line feed.
 
-    A reading is a line that ``parse_line`` accepts, with as many joints as the first.
+    A reading is a line that ``parse_line`` accepts, with as many joints as the first. A closed connection does not show the
+    reason: a restarted controller, a crashed program and a finished one all close it in the same way. The recorder
+    therefore waits for the robot as after any loss. A program that has finished announces this with the line ``END``.
 
     ``lost``: why it is away, None while it is there. It has ``ended``, or it is away since ``lost_ns`` and may come back;
     its first reading ends the loss, not its link. ``heard_ns``: time of the last reading.

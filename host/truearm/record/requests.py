@@ -4,11 +4,6 @@ Nothing that arrives is lost. The stream is split at the delimiters. A run betwe
 as COBS, its CRC matches and it is an array that begins with a type and a frame count, as a reader of sessions demands
 (``session/frames.py``). Any other run is console text, such as a traceback or a damaged frame. A frame of a type that only
 the host sends is also treated as console text: a prompt or a terminal echoes its input. Empty runs are dropped.
-
-The box may still remember a command of an earlier session by its id (SPEC §6), so ids are drawn at random. For two
-seconds after power-on, a Pico treats byte 3 as Ctrl-C, which leads to MicroPython's prompt, where the box would stay:
-ids that would give such a byte anywhere in the frame are drawn again. A request is repeated with the same id until it is
-answered; the box treats repetitions as one request.
 """
 
 from __future__ import annotations
@@ -110,6 +105,11 @@ class NoAnswerError(LinkError):
 
 class Requests:
     """Makes requests, each with its own id, and takes the answers.
+
+    The box may still remember a command of an earlier session by its id (SPEC §6), so ids are drawn at random. For two
+    seconds after power-on, a Pico treats byte 3 as Ctrl-C, which leads to MicroPython's prompt, where the box would stay:
+    ids that would give such a byte anywhere in the frame are drawn again. A request is repeated with the same id until it
+    is answered; the box treats repetitions as one request.
 
     ``pump`` reads the link for a time [s] and passes what arrives to ``take``. ``ident`` is the box's latest description
     of itself.

@@ -1,14 +1,8 @@
 """Write a new session from another one, which is only read: without its damage, or with joint readings recorded elsewhere.
 
-**A recovered session** has everything intact of a damaged or unfinished one. Messages keep their time, their bytes and
+A recovered session has everything intact of a damaged or unfinished one. Messages keep their time, their bytes and
 their number within their topic. Missing ones therefore show in the new file too, as a jump of these numbers and of the
 counters of box and robot. Nothing is put in their place.
-
-**Added readings** were not observed on arrival. Their host times are computed from the controller's time alone: it is UTC,
-which the session's two anchors relate to the host's clock, or it was zero a given number of seconds after the session
-began. The host time becomes the message's time. Readers of the session recognise these readings by ``"arrival": false`` in
-each line and by the metadata ``joints-added``. An error of the host time is common to all readings. Dwells are
-insensitive to it up to their settling time; motion is not.
 """
 
 from __future__ import annotations
@@ -160,6 +154,10 @@ def add_readings(
     replace: bool = False,
 ) -> int:
     """Write ``out`` with everything in ``session`` and the readings; return the number of readings.
+
+    Their arrival was not observed: host times, which become those of the messages, are computed from the controller's time
+    alone, an error of which is common to all readings. Dwells are insensitive to it up to their settling time; motion is
+    not. Readers recognise these readings by ``"arrival": false`` in each line and by the metadata ``joints-added``.
 
     ``zero_s``: when, after the session's begin, the controller's time was zero; None: it is UTC. ``note`` becomes
     metadata. With ``replace`` the session's own readings are left out; without it there must be none.

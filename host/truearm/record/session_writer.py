@@ -9,9 +9,6 @@ minute, attachments and a copy of the plan every ten minutes, and at the end. A 
 
 Twice a second the writer checks its file (``file_loss``). A deleted or replaced file is copied from the open descriptor
 to a new one, where the recording continues. Others are written to as before.
-
-A writer that is held removes its file when it is closed before ``keep``. In place of an earlier recording, nothing is
-written before ``keep``.
 """
 
 from __future__ import annotations
@@ -208,8 +205,8 @@ _Message = tuple[int, int, bytes, int, int]  # arguments of add_message(): chann
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` there is no file if the writer is closed before ``keep``. Without a
-    ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata``
+    With ``hold`` there is no file if the writer is closed before ``keep``; in place of an earlier recording, nothing is
+    written before it. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata``
     and ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's

@@ -7,9 +7,6 @@ a row are. Among paths of equal value, the nearer one is chosen.
 
 A plan may contain the same pose with different fittings. A dwell to which paths of the highest value assign different
 fittings is **ambiguous**. Distances do not decide here.
-
-What ``truearm session relabel`` settles later is in SESSION.labels.json beside the session (docs/reference/session-format.md),
-which is never modified and is identified by its SHA-256. If there are several decisions, the last one counts.
 """
 
 from __future__ import annotations
@@ -450,7 +447,10 @@ def labels_path(session: Path) -> Path:
 
 
 def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
-    """Return the labels of the last decision about a session, or None if it has none.
+    """Return the labels of the last decision about a session, or None if it has none (docs/reference/session-format.md).
+
+    ``truearm session relabel`` writes SESSION.labels.json next to the session, which is never modified, and identifies it by
+    its SHA-256. If there are several decisions, the last one counts.
 
     Raises SessionError, also for labels that belong to another session.
     """

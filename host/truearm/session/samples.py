@@ -2,14 +2,6 @@
 
 The box provides the conversion from counts to volts and from volts to an extension (scale and calibration polynomial of
 the channel). The rig provides the rest: length = zero + gain · extension, centre to centre.
-
-**The mean of correlated samples** has the variance C / n, with the sum C of the autocovariances. The sum ends at the
-first lag that is five times the integrated correlation time (Sokal, "Monte Carlo methods in statistical mechanics", 1997,
-§3), and is corrected for the estimated mean (Wolff, Comput. Phys. Commun. 156, 2004, eq. 49).
-
-**Rest** is defined by a stop's second half. Stretches of 1, 2, 4 … blocks are compared with its level: short ones show
-ringing, long ones creep. Rest begins after the last stretch that deviates by more than noise or ``floor`` explains. Noise
-alone truncates a fraction FALSE_ALARM of stops.
 """
 
 from __future__ import annotations
@@ -302,6 +294,10 @@ def _line(samples: Floats) -> tuple[float, float, Floats]:
 def mean_variance(deviation: Floats, fitted: int = 1) -> tuple[float, float]:
     """Return the variance of the mean of n samples and the standard deviation of one, from their deviations (n,).
 
+    The mean of correlated samples has the variance C / n, with the sum C of the autocovariances. The sum ends at the first
+    lag that is five times the integrated correlation time (Sokal, "Monte Carlo methods in statistical mechanics", 1997,
+    §3), and is corrected for the estimated mean (Wolff, Comput. Phys. Commun. 156, 2004, eq. 49).
+
     ``fitted``: 1 for deviations from the mean, 2 from the least-squares line, which lowers each Γ(k) by the same amount
     again.
     """
@@ -340,8 +336,11 @@ class Settled(NamedTuple):
 
 
 def settled_from(means: Floats, block_var: Floats | float, floor: Floats | float) -> Settled:
-    """Return where the means (…, b) of consecutive blocks come to rest; each has the variance ``block_var`` (…) by
-    noise.
+    """Return where the means (…, b) of consecutive blocks come to rest; each has the variance ``block_var`` (…) by noise.
+
+    Rest is defined by a stop's second half. Stretches of 1, 2, 4 … blocks are compared with its level: short ones show
+    ringing, long ones creep. Rest begins after the last stretch that deviates by more than noise or ``floor`` explains.
+    Noise alone truncates a fraction FALSE_ALARM of stops.
     """
     b = means.shape[-1]
     half = b // 2

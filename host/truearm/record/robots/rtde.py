@@ -9,10 +9,6 @@ RTDE has no sequence numbers. A controller that runs short of time skips package
 are multiples of its cycle. ``seq`` is the time since the first timestamp in periods, so skipped packages are gaps in
 ``seq``.
 
-Everything else (text messages, packages of other types or lengths) is passed on as lines that are not readings, each
-with the package's type and payload, byte by byte (Latin-1); the recorder keeps them in ``/robot/console``. A package
-with all fields takes about 5 µs, at 500 per second.
-
 The kinematics of the controller come from its primary interface on port 30001 (``kinematics_info()``).
 """
 
@@ -273,6 +269,10 @@ class RtdeLink(LinkOnTop):
     # --- packages → lines
 
     def _line(self, kind: int, payload: bytes) -> bytes:
+        """Return a reading, or a line with the type and payload of any other package, byte by byte (Latin-1).
+
+        The recorder keeps the latter in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per second.
+        """
         values = self._recipe.values(payload) if kind == DATA and self._recipe is not None else None
         if values is not None and all(
             map(math.isfinite, (values["timestamp"], *values["actual_q"]))
