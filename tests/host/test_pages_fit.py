@@ -15,8 +15,8 @@ from truearm.findings import Finding, entries
 from truearm.report import correction_page
 from truearm.report.svg import Cells, map_picture
 from truearm.report.validation_findings import validation_findings
+from truearm.session.dwells import mean_of
 from truearm.session.frames import Channel, Ident
-from truearm.session.samples import mean_of
 from truearm.workflows.report import validation_page
 
 PHONE = 400

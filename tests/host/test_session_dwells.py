@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from session_stream import columns_of
 
-from truearm.session.dwells import Dwell, find_dwells
+from truearm.session.dwells import Dwell, find_dwells, mean_of
 from truearm.session.joint_readings import JointReader
 from truearm.session.plan_matching import BACK, REPEAT, Marks, PlannedPoses, distances, match_plan, with_mountings
-from truearm.session.samples import mean_of
 from truearm.types import MOUNTING, Message
 
 HZ = 125.0

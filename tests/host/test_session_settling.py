@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from truearm.session.samples import FALSE_ALARM, block_means, block_variance, rests_within, rings, settled_from
+from truearm.session.dwells import FALSE_ALARM, block_means, block_variance, rests_within, rings, settled_from
 
 HZ, BLOCK = 1000.0, 25
 T = np.arange(1800) / HZ

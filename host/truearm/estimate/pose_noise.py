@@ -28,8 +28,7 @@ from truearm.estimate.circumstances import first_alike
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.group import Group
-from truearm.model.chain import folded
-from truearm.model.chain_structure import direct_basis
+from truearm.model.chain import direct_basis, folded
 from truearm.types import Floats, Indices
 
 _geqrf, _ormqr = get_lapack_funcs(("geqrf", "ormqr"), dtype=np.float64)

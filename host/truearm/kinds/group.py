@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.model.chain import Chain, PointDerivatives
-from truearm.model.chain_structure import Basis
+from truearm.model.chain import Basis, Chain, PointDerivatives
 from truearm.types import Floats, Indices, Mask, Point
 from truearm.units import SMALLEST
 

@@ -31,14 +31,12 @@ from truearm.kinds.group import (
     gather,
     linearised,
     point_numbers,
-    scatter,
-    zero_columns,
 )
 from truearm.kinds.kind import ORIGIN, Kind, RigUse, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SPHERE
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import Chain, along, folded, point_forward, trace_point
+from truearm.model.chain import Chain, PointDerivatives, along, folded, point_forward, trace_point
 from truearm.schema import IDENTIFIER, Entries, Key, List, SchemaError, Table, keys_of
 from truearm.types import Floats, Indices, Point, Rig, SocketDistance
 from truearm.units import MM, UNITS
@@ -62,15 +60,13 @@ class SocketDistanceRows(Group):
         vector = gather(x, self.constants, self.first) - gather(x, self.constants, self.second)
         d = np.linalg.norm(vector, axis=1)
         u = np.divide(vector, d[:, None], out=np.zeros_like(vector), where=d[:, None] > 0.0)
-        p = len(chain.parameters)
-        basis = folded(chain, x[:p]).basis
-        wrenches = np.zeros((1, d.size, len(basis.twists)))
-        jac_rig = zero_columns(wrenches, x.size - p)
-        scatter(jac_rig, self.first - p, u[None])
-        scatter(jac_rig, self.second - p, -u[None])
-        scatter(jac_rig, self.distance - p, np.full((1, d.size, 1), -1.0))
+        basis = folded(chain, x[: len(chain.parameters)]).basis
+        shape = 1, d.size
+        nothing = (np.zeros((*shape, size)) for size in (len(chain.joints), 3))
+        derivative = PointDerivatives(np.zeros((*shape, len(basis.twists))), basis, *nothing)
+        points = (self.first, u[None]), (self.second, -u[None])
         residual = gather(x, self.constants, self.distance)[:, 0] - d
-        return Linearised(residual, wrenches, basis, jac_rig, np.zeros((1, d.size, len(chain.joints))))
+        return linearised(residual, derivative, x, *points, (self.distance, np.full((*shape, 1), -1.0)))
 
 
 def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:

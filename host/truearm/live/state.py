@@ -22,10 +22,10 @@ from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
 from truearm.record.joint_lines import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent, Status
-from truearm.session.dwells import DRIFT_SIGMAS, MICRON
+from truearm.session.dwells import DRIFT_SIGMAS, LEAST_LAGS, MICRON, mean_of
 from truearm.session.frames import Channel, Data, Ident, Stream
 from truearm.session.joint_format import JointLine
-from truearm.session.samples import LEAST_LAGS, counts_of, extension, mean_of, railed
+from truearm.session.samples import counts_of, extension, railed
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, Floats, Move, Rig
 from truearm.units import MM, NS, UM, US

@@ -18,27 +18,120 @@ for complex steps.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.chain_structure import (
-    Basis,
-    Columns,
-    Folded,
-    Structure,
-    direct_basis,
-    far_frames,
-    fold,
-    new_numbers,
-    on_axis,
-)
+from truearm.model.chain_structure import Constants, Structure, far_frames, multiplied
 from truearm.model.joint_law import JointLaw, LawAt, flat
 from truearm.model.transforms import apply, axis_of, cos_sin, cross, move, turn
 from truearm.types import Floats, Indices
+
+# ----------------------------------------------------------------------------------------------------- constant folding
+#
+# What is equal for all poses, computed once for each set of params: the links (runs of constants) and the matrix that
+# converts wrenches to derivatives by parameters (derived in chain.py). Twists and wrenches are ordered by axis here,
+# (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment. A joint about an axis rotates two such pairs into each other
+# and leaves the third unchanged.
+
+
+class Columns(NamedTuple):
+    """The b columns of ``wrenches``: the six in the base frame, then those that each joint adds, then those of its law."""
+
+    of_law: Floats  # (p, b) 1 where a column is the derivative by a parameter of a joint's law
+    changed: Sequence[
+        tuple[list[int], Floats]
+    ]  # of each joint: the wrench components that it changes, and their columns
+    constant: tuple[
+        Indices, Indices, Indices
+    ]  # parameters of laws with ∂θ/∂parameter = 1, their joints, their components
+
+
+class Basis(NamedTuple):
+    """What the b columns of ``wrenches`` stand for; the first six are always the wrench in the base frame."""
+
+    twists: Floats  # (b, p) ``wrenches`` @ twists are the derivatives by the parameters
+    end: Floats  # (b, 6) ``wrenches`` @ end is the wrench in the frame of the last link
+    direct: bool = False  # the derivatives are columns themselves (``direct_basis``)
+
+
+class Folded(NamedTuple):
+    """A chain's constants multiplied out for one set of params."""
+
+    transforms: Floats  # (j + 1, 4, 4) the links
+    carries: Floats  # (j + 1, 6, 6) a wrench from a link's near frame to its far frame
+    basis: Basis
+
+
+@cache
+def direct_basis(p: int) -> Basis:
+    """Return that of 6 + 6 + p columns: the wrench in the base frame, that at the end, the derivatives by p parameters."""
+    return Basis(np.eye(12 + p, p, -12), np.eye(12 + p, 6, -6), direct=True)
+
+
+def fold(constants: Constants, columns: Columns, params: Floats) -> Folded:
+    """Return all constants multiplied out for params (p,)."""
+    transforms, beyond = multiplied(constants, params)
+    carries = _carries(transforms)
+    twists, end = _combined(constants, columns, _twists_beyond(constants, beyond), carries)
+    for array in (transforms, carries, twists, end):
+        array.setflags(write=False)
+    return Folded(transforms, carries, Basis(twists, end))
+
+
+def _twists_beyond(constants: Constants, beyond: Floats) -> Floats:
+    """Return Ad(B⁻¹)ξ (c, 6) for unit motions: w' = Rᵀw, v' = Rᵀ(v − t × w) with B = (R, t)."""
+    rot, shift = beyond[:, :3, :3], beyond[:, :3, 3:]
+    index, k, turns = np.arange(len(beyond)), constants.axis, constants.turns[:, None]
+    a, b = (k + 1) % 3, (k + 2) % 3  # t × e_k = t_b e_a − t_a e_b
+    axis = rot[index, k]
+    lever = shift[index, a] * rot[index, b] - shift[index, b] * rot[index, a]
+    return np.stack([np.where(turns, lever, axis), np.where(turns, axis, 0.0)], axis=2).reshape(-1, 6)
+
+
+def _carries(transforms: Floats) -> Floats:
+    """Return matrices (n, 6, 6) to frames (R, t): force' = Rᵀ force, moment' = Rᵀ(moment − t × force)."""
+    rot, shift = transforms[:, :3, :3], transforms[:, :3, 3:]
+    out = np.zeros((len(transforms), 3, 2, 3, 2), dtype=transforms.dtype)
+    out[:, :, 0, :, 0] = out[:, :, 1, :, 1] = np.swapaxes(rot, 1, 2)
+    lever = cross(np.moveaxis(shift, 1, 0), np.moveaxis(rot, 1, 0))  # −r·(t × f) = (t × r)·f for R's columns r
+    out[:, :, 1, :, 0] = np.moveaxis(lever, 0, 2)
+    return out.reshape(-1, 6, 6)
+
+
+def _combined(constants: Constants, columns: Columns, twists_beyond: Floats, carries: Floats) -> tuple[Floats, Floats]:
+    """Return ``twists`` (b, p), each parameter's twist times the wrench in its frame by the b columns of ``wrenches``, and ``end``."""
+    wrenches = np.zeros((len(carries), 6, columns.of_law.shape[1]), dtype=twists_beyond.dtype)
+    wrenches[0, :, :6] = carries[0]
+    for i, (new, unit) in enumerate(columns.changed):
+        next_wrench = wrenches[i].copy()
+        next_wrench[new] = unit
+        np.matmul(carries[i + 1], next_wrench, out=wrenches[i + 1])
+    twists = columns.of_law.astype(twists_beyond.dtype)
+    parameters, joints, axes = columns.constant
+    twists[parameters] = wrenches[joints, axes]
+    for members, wrench in zip(constants.named, wrenches, strict=True):
+        twists[constants.parameter[members]] = twists_beyond[members] @ wrench
+    return np.ascontiguousarray(twists.T), np.ascontiguousarray(wrenches[-1].T)
+
+
+def on_axis(motion: str) -> int:
+    """Return the index of the wrench component on a joint's axis: the force along it, or the moment about it."""
+    return 2 * axis_of(motion) + (motion[0] == "r")
+
+
+def new_numbers(motion: str) -> list[int]:
+    """Return the wrench components that a joint changes: all across its axis, or only the moments if it is prismatic."""
+    k = axis_of(motion)
+    across = [i for axis in ((k + 1) % 3, (k + 2) % 3) for i in (2 * axis, 2 * axis + 1)]
+    return across if motion[0] == "r" else across[1::2]
+
+
+# ----------------------------------------------------------------------------------------------------------- the chain
 
 
 @dataclass(frozen=True)

@@ -88,15 +88,6 @@ _ELEMENTS = {
 }
 
 
-def is_text(data: bytes) -> bool:
-    """Return whether the bytes are text printed by a program rather than a damaged frame."""
-    try:
-        text = data.decode()
-    except UnicodeDecodeError:
-        return False
-    return all(character.isprintable() or character.isspace() for character in text)
-
-
 _HostTime = Annotated[int, msgspec.Meta(gt=-LATEST_NS, lt=LATEST_NS)]
 _DeviceTime = Annotated[int, msgspec.Meta(ge=0, lt=MAX_DEVICE_US)]
 
@@ -153,11 +144,6 @@ def named_elements(frame: list[Any]) -> dict[str, Any] | None:
     if frame[0] not in wire.LAYOUT or not conforms(frame):
         return None
     return dict(zip(wire.names(frame[0]), frame[1:], strict=False))
-
-
-def is_boot(frame: list[Any]) -> bool:
-    """Return whether a frame is the first page of the ident that a box sends unprompted at boot (SPEC §5: req_id 0)."""
-    return frame[0] == wire.IDENT and frame[2:4] == [0, 0]
 
 
 def boot_id(frame: list[Any]) -> int:
@@ -221,16 +207,13 @@ class Frames:
     frames.
     """
 
-    table: NDArray[Any]
-    contents: list[Any]
+    table: NDArray[Any] = field(default_factory=lambda: np.empty(0, FRAME))
+    contents: list[Any] = field(default_factory=list)
     malformed: int = 0
 
     def followed_by(self, later: Frames) -> Frames:
         """Return these frames, then all of ``later``."""
         return Frames(np.concatenate([self.table, later.table]), self.contents + later.contents, later.malformed)
-
-
-NO_FRAMES = Frames(np.empty(0, FRAME), [])
 
 
 def frames_of(messages: Messages) -> Frames:

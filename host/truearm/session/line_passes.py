@@ -26,10 +26,10 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from truearm.kinds.table import ObservationTable
-from truearm.session.dwells import MICRON
+from truearm.session.dwells import MICRON, mean_variance
 from truearm.session.joint_format import UNNUMBERED
 from truearm.session.joint_readings import BinTimes, JointStream
-from truearm.session.samples import ChannelSamples, Samples, extension, mean_variance, railed
+from truearm.session.samples import ChannelSamples, Samples, extension, railed
 from truearm.types import Floats, Ints, Mask, rms_of_columns
 
 SLOW = 2e-3  # rad/s or m/s; every line is driven faster, and a robot at rest is slower

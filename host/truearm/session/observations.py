@@ -21,7 +21,6 @@ from truearm.kinds.kind import DwellSensor
 from truearm.kinds.table import ObservationTable
 from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
 from truearm.session.dwells import (
-    LEARNT,
     Dwell,
     find_dwells,
     has_manual_joints,
@@ -218,7 +217,7 @@ def _measured(
     def during(i: int) -> Samples | None:
         return samples.during(dwells[i].start_host_ns, dwells[i].end_host_ns)
 
-    usual = usual_noise(map(during, list(sensors)[:LEARNT]))
+    usual = usual_noise(map(during, sensors))
     for i, sensor in sensors.items():
         dwell, read = dwells[i], during(i)
         if sensor is None:

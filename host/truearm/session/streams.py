@@ -25,20 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.session.frames import (
-    NO_FRAMES,
-    NONE,
-    Channel,
-    Frames,
-    Ident,
-    Pages,
-    Stream,
-    decode_ident,
-    frames_of,
-    is_boot,
-    is_text,
-    parse_exchange,
-)
+from truearm.session.frames import NONE, Channel, Frames, Ident, Pages, Stream, decode_ident, frames_of, parse_exchange
 from truearm.session.session_file import Messages
 from truearm.types import Ints
 from truearm_wire import messages as wire
@@ -237,7 +224,7 @@ class BoxReader:
         self._box_count: Counter[str] = Counter()
         self._worst: dict[str, int] = {}
         self._next: int | None = None  # seq of the next frame; None before the first
-        self._held = NO_FRAMES  # until the box states its boot id
+        self._held = Frames()  # until the box states its boot id
         self._messages = 0  # so far
         self._heard: list[Ints] = [np.empty((0, 5), np.int64)]  # message, and times of an exchange
         self._streams: dict[int, StreamTrack] = {}
@@ -255,7 +242,7 @@ class BoxReader:
     def feed(self, messages: Messages) -> list[Blocks]:
         """Account for a batch and return the blocks of samples. Messages of other topics are ignored."""
         for data in messages.payloads(messages.rows(lambda topic: topic == "/box/console")):
-            self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=int(is_text(data)))
+            self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=int(_is_text(data)))
         replies = messages.rows(lambda topic: topic == "/sync")
         exchanges = map(parse_exchange, messages.payloads(replies))
         numbered = zip((replies + self._messages).tolist(), exchanges, strict=True)
@@ -400,8 +387,8 @@ class BoxReader:
             self._worst[key] = extreme(self._worst.get(key, beat[name]), beat[name])
 
     def _describe(self, elements: list[Any]) -> None:
-        """Take a page of an ident."""
-        self.segment.booted |= is_boot(elements)
+        """Take a page of an ident. The box sends one unprompted, with req_id 0, at boot (SPEC §5)."""
+        self.segment.booted |= elements[2:4] == [0, 0]
         document = self._pages.push(*elements[2:6])
         if document is None:
             return
@@ -437,3 +424,12 @@ class BoxReader:
 def segment_at(segments: Sequence[Segment], message: Ints) -> Ints:
     """Return the index of the segment to which messages (n,) of the session belong, by their index in it."""
     return np.searchsorted([segment.begin for segment in segments[1:]], message, "right")
+
+
+def _is_text(data: bytes) -> bool:
+    """Return whether the bytes are text printed by a program rather than a damaged frame."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return False
+    return all(character.isprintable() or character.isspace() for character in text)

@@ -20,10 +20,10 @@ from truearm.model.chain import Chain, distance_jacobian
 from truearm.plan.plan_file import read_plan
 from truearm.progress import step
 from truearm.report.tables import Table
-from truearm.session.dwells import Dwell
+from truearm.session.dwells import Dwell, mean_variance
 from truearm.session.joint_readings import Bins
 from truearm.session.observations import BAR, SyncResult
-from truearm.session.samples import extension, mean_variance
+from truearm.session.samples import extension
 from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import Floats, Rig

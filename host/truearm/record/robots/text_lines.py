@@ -19,7 +19,6 @@ A line in the session format is stored as received. Any other reading is stored 
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Literal
@@ -29,63 +28,20 @@ import msgspec
 from truearm.errors import InputError, LinkError, ProtocolError
 from truearm.record.intake import MAX_LINE, SILENCE_S
 from truearm.record.links import (
-    ROBOT_LOST,
     Arrivals,
     Backlog,
     Clock,
+    Datagram,
     Link,
     LinkOnTop,
     Runs,
-    StreamLink,
     TcpLink,
+    UdpLink,
     parse_address,
 )
 from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Names, read_columns
 from truearm.session.joint_format import MAX_JOINTS, parse_line
 from truearm.units import SUFFIXES
-
-MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
-
-
-class Datagram(bytes):
-    """The contents of a datagram, and the address that sent it."""
-
-    sender: str
-
-
-class UdpLink(StreamLink):
-    """Receives datagrams sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them), as ``Datagram``.
-
-    Each is returned with a line feed at its end. A robot that has gone is just silent; UDP does not report it.
-    """
-
-    def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
-        host, port, _ = parse_address(url, "udp")
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        try:
-            opened = socket.socket(family, socket.SOCK_DGRAM)
-            opened.bind((host, port))
-        except OSError as exc:
-            reason = f"cannot listen there ({exc.strerror or exc}); give an address of this machine"
-            raise LinkError(f"{name or url}: {reason}") from exc
-        super().__init__(name or url, clock, opened, ROBOT_LOST)
-
-    def _send(self, data: bytes) -> None:
-        """Do nothing: such a robot receives no data."""
-
-    @property
-    def backlog(self) -> Backlog:
-        """Return the backlog."""
-        return super().backlog._replace(drops=True)
-
-    def _receive(self) -> bytes:
-        if not self._readable():
-            return b""
-        data, (sender, *_) = self._stream.recvfrom(MAX_DATAGRAM)
-        datagram = Datagram(data + b"\n")
-        datagram.sender = sender
-        return datagram
-
 
 OVERLONG = b"of a line that is too long: "  # before its pieces, so that none is taken for a reading
 
