@@ -18,7 +18,7 @@ from truearm.estimate.problem import build_problem
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table_file import write_table
 from truearm.model.chain import point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.report.result_findings import fault_findings
 from truearm.types import BallBar, Point, Rig
 

@@ -52,7 +52,7 @@ class RigUse(NamedTuple):
     """
 
     used: tuple[Used, ...]
-    make: Callable[[Layout], list[Group]]
+    make: Callable[[Layout], Sequence[Group]]
     bodies: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
     @classmethod

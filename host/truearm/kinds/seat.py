@@ -23,7 +23,6 @@ from truearm.findings import Finding
 from truearm.kinds.group import (
     Fault,
     Group,
-    Layout,
     Linearised,
     RigNumber,
     Used,
@@ -69,8 +68,8 @@ class SocketDistanceRows(Group):
         return linearised(residual, derivative, x, *points, (self.distance, np.full((*shape, 1), -1.0)))
 
 
-def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
-    """Return the declared distances that places use, and the sockets (n, 2) by index of each such place.
+def use_distances(prefix: str, rig: Rig, sockets: Used) -> RigUse:
+    """Return the declared distances, and a row for every place where both sockets of one were used.
 
     Raises ProblemError for a distance that is declared twice.
     """
@@ -86,6 +85,8 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
         for place in places
         if index.keys() >= {(place, a), (place, b)}
     ]
+    if not rows:
+        return RigUse((), lambda _: [])
     measurements = list(dict.fromkeys(measured for measured, *_ in rows))
     numbers = [
         [RigNumber(f"{prefix}socket_distance.{'.'.join(measured.sockets)}", "m", measured.distance, measured.sigma)]
@@ -93,7 +94,20 @@ def use_distances(prefix: str, rig: Rig, sockets: Used) -> tuple[Used, Indices]:
     ]
     which = np.array([measurements.index(measured) for measured, *_ in rows], dtype=np.intp)
     distances = Used([*measurements], numbers, which, (Fault(slice(None), step=False),))
-    return distances, np.array([ends for _, *ends in rows], dtype=np.intp).reshape(-1, 2)
+    first, second = (sockets._replace(which=which) for which in np.array([ends for _, *ends in rows], dtype=np.intp).T)
+    return RigUse(
+        (distances,),
+        lambda layout: [
+            SocketDistanceRows(
+                row=None,
+                sensor_cov=np.full((len(rows), 1), RIGID**2),
+                distance=layout.index(distances),
+                first=layout.index(first),
+                second=layout.index(second),
+                constants=layout.constants,
+            )
+        ],
+    )
 
 
 def other_lengths(seats: ObservationTable, rig: Rig, chain: Chain) -> list[Finding]:
@@ -111,23 +125,6 @@ def other_lengths(seats: ObservationTable, rig: Rig, chain: Chain) -> list[Findi
             sizes = {"declared": {"mm": MM.of(measured.distance)}, "nominal": {"mm": MM.of(by_joints)}}
             findings.append(Finding("other-distance", {"sockets": list(measured.sockets), **sizes}))
     return findings
-
-
-def distance_rows(distances: Used, sockets: Used, ends: Indices, layout: Layout) -> list[Group]:
-    """Return a row for every place where both sockets of a declared distance were used; no group if there is none."""
-    if not len(ends):
-        return []
-    first, second = (layout.index(sockets._replace(which=which)) for which in ends.T)
-    return [
-        SocketDistanceRows(
-            row=None,
-            sensor_cov=np.full((len(ends), 1), RIGID**2),
-            distance=layout.index(distances),
-            first=first,
-            second=second,
-            constants=layout.constants,
-        )
-    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,14 +171,11 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     rig = scope.rig
     balls = use_points(scope, rows, "sphere", rig.spheres)
     sockets = _sockets(scope, rows, balls)
-    distances, ends = use_distances(scope.prefix, rig, sockets)
+    distances = use_distances(scope.prefix, rig, sockets)
     variance = sigmas(scope, rows, np.full((len(rows), 3), rig.seat_sigma)) ** 2
     seats = RigUse.of(SeatRows, scope, rows, variance, sphere=balls, socket=sockets)
-    return RigUse(
-        (*seats.used, distances),
-        lambda layout: [*seats.make(layout), *distance_rows(distances, sockets, ends, layout)],
-        _places(scope, sockets),
-    )
+    used = (*seats.used, *distances.used)
+    return RigUse(used, lambda layout: [*seats.make(layout), *distances.make(layout)], _places(scope, sockets))
 
 
 def _places(scope: Scope, sockets: Used) -> dict[str, tuple[str, ...]]:

@@ -104,6 +104,8 @@ def backlog_of(link: Link) -> Backlog:
 class LinkOnTop:
     """A link whose bytes come from another one, in another form."""
 
+    _foreign = 0  # datagrams that it has dropped
+
     def __init__(self, link: Link, clock: Clock) -> None:
         self.name = link.name
         self._link = link
@@ -115,7 +117,7 @@ class LinkOnTop:
     @property
     def backlog(self) -> Backlog:
         """Return the backlog."""
-        return backlog_of(self._link)
+        return backlog_of(self._link)._replace(foreign=self._foreign)
 
     def close(self) -> None:
         self._link.close()

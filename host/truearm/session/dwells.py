@@ -252,8 +252,13 @@ class Dwell:
     mounted: dict[str, str] = field(default_factory=dict)  # bar, chuck, sphere, shell
 
 
-def find_dwells(stream: JointStream) -> list[Dwell]:
-    """Return all stops in order of time; those ruled out by the joint readings carry their reason."""
+def find_dwells(stream: JointStream, bar: ChannelSamples | None = None) -> list[Dwell]:
+    """Return all stops in order of time; those ruled out by the readings carry their reason.
+
+    Where joints were noted by hand, they are the rests of the ``bar``.
+    """
+    if bar is not None and has_manual_joints(stream):
+        return manual_dwells(stream, bar)
     dwells = find_stops(stream.bins, stream.step)
     segment = np.array([dwell.segment for dwell in dwells], np.int64)
     times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)

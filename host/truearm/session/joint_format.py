@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.progress import uncollected
-from truearm.session.session_file import LATEST_NS
+from truearm.session.session_file import LATEST_NS, Messages
 from truearm.types import Ints
 
 MAX_T_S = 4e9  # such times in ns still fit 63 bits
@@ -204,6 +204,27 @@ def unpack(*messages: bytes) -> JointBatch | None:
     for key, (lowest, beyond) in _RANGES.items():
         good = good and not (key in columns and np.any((columns[key] < lowest) | (columns[key] >= beyond)))
     return JointBatch(columns) if good else None
+
+
+def joint_batch(messages: Messages, joints: int | None) -> tuple[JointBatch, int]:
+    """Return the readings of a batch of messages in order, and how many lines and columns are malformed.
+
+    ``joints``: number of joints per reading; None: as in the first. The columns beside lines are used if they are those of
+    the lines; else the lines are parsed.
+    """
+    lines, columns, numbers = (messages.rows(topic.__eq__) for topic in (JOINTS, COLUMNS, READINGS))
+    arrival_ns = messages.t_host_ns[lines]
+    batch = unpack(*messages.payloads(columns)) if len(columns) else None
+    if batch is None or not np.array_equal(batch.arrival_ns, arrival_ns) or joints not in (None, batch.q.shape[1]):
+        batch = parse_lines(messages.payloads(lines), arrival_ns, joints)
+    batches, malformed = [batch] if len(batch) else [], len(lines) - len(batch)
+    for data in messages.payloads(numbers):
+        read = unpack(data)
+        if read is not None and read.q.shape[1] == (joints or (batches or [read])[0].q.shape[1]):
+            batches.append(read)
+        else:
+            malformed += 1
+    return concatenate(batches or [batch]), malformed
 
 
 def _tagged(column: NDArray[Any]) -> cbor2.CBORTag:

@@ -24,16 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
-from truearm.session.joint_format import (
-    COLUMNS,
-    JOINTS,
-    READINGS,
-    UNNUMBERED,
-    JointBatch,
-    concatenate,
-    parse_lines,
-    unpack,
-)
+from truearm.session.joint_format import UNNUMBERED, JointBatch, concatenate, joint_batch
 from truearm.session.samples import Spool
 from truearm.session.session_file import Messages
 from truearm.types import Floats, Ints, Mask
@@ -191,27 +182,6 @@ class JointStream:
 
 
 _BACK = b'"kind":"robot-back"'
-
-
-def joint_batch(messages: Messages, joints: int | None) -> tuple[JointBatch, int]:
-    """Return the readings of a batch of messages in order, and how many lines and columns are malformed.
-
-    ``joints``: number of joints per reading; None: as in the first. The columns beside lines are used if they are those of
-    the lines; else the lines are parsed.
-    """
-    lines, columns, numbers = (messages.rows(topic.__eq__) for topic in (JOINTS, COLUMNS, READINGS))
-    arrival_ns = messages.t_host_ns[lines]
-    batch = unpack(*messages.payloads(columns)) if len(columns) else None
-    if batch is None or not np.array_equal(batch.arrival_ns, arrival_ns) or joints not in (None, batch.q.shape[1]):
-        batch = parse_lines(messages.payloads(lines), arrival_ns, joints)
-    batches, malformed = [batch] if len(batch) else [], len(lines) - len(batch)
-    for data in messages.payloads(numbers):
-        read = unpack(data)
-        if read is not None and read.q.shape[1] == (joints or (batches or [read])[0].q.shape[1]):
-            batches.append(read)
-        else:
-            malformed += 1
-    return concatenate(batches or [batch]), malformed
 
 
 class SegmentedReadings:

@@ -20,15 +20,7 @@ from truearm.kinds import registry
 from truearm.kinds.kind import DwellSensor
 from truearm.kinds.table import ObservationTable
 from truearm.session.clock import BoxTemperature, ClockReport, DeviceClock, box_temperature, fit_clock
-from truearm.session.dwells import (
-    Dwell,
-    find_dwells,
-    has_manual_joints,
-    manual_dwells,
-    measured,
-    usual_noise,
-    without_noisy,
-)
+from truearm.session.dwells import Dwell, find_dwells, has_manual_joints, measured, usual_noise, without_noisy
 from truearm.session.frames import Ident
 from truearm.session.joint_readings import JointReader, JointStream
 from truearm.session.line_passes import Leg, LinePass, find_legs, measure
@@ -133,7 +125,7 @@ def survey(source: Source, ident: Ident | None = None, wander: float = WANDER) -
         channels.place(clocks)
     joints = with_edges(robot.finish(), box.output, clocks, wander)
     temperatures = {name: box_temperature(readings, clocks) for name, readings in box.temperatures.items()}
-    dwells = manual_dwells(joints, samples[BAR][0]) if has_manual_joints(joints) else find_dwells(joints)
+    dwells = find_dwells(joints, samples[BAR][0])
     return Survey(
         losses=replace(box.losses(), plan_events_malformed=marks.malformed),
         streams=box.streams(),

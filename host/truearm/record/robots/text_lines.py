@@ -27,18 +27,7 @@ import msgspec
 
 from truearm.errors import InputError, LinkError, ProtocolError
 from truearm.record.intake import MAX_LINE, SILENCE_S
-from truearm.record.links import (
-    Arrivals,
-    Backlog,
-    Clock,
-    Datagram,
-    Link,
-    LinkOnTop,
-    Runs,
-    TcpLink,
-    UdpLink,
-    parse_address,
-)
+from truearm.record.links import Arrivals, Clock, Datagram, Link, LinkOnTop, Runs, TcpLink, UdpLink, parse_address
 from truearm.record.robots.joint_table import CONVERTED, PER_SECOND, QUANTITIES, Names, read_columns
 from truearm.session.joint_format import MAX_JOINTS, parse_line
 from truearm.units import SUFFIXES
@@ -170,12 +159,6 @@ class DatagramLines(LinesLink):
 
     _robot: str | None = None
     _reading_ns = 0  # arrival of its last reading
-    _foreign = 0
-
-    @property
-    def backlog(self) -> Backlog:
-        """Return the backlog."""
-        return super().backlog._replace(foreign=self._foreign)
 
     def _lines(self, t_host_ns: int, data: bytes) -> list[bytes]:
         assert isinstance(data, Datagram)
