@@ -137,9 +137,8 @@ def _fit(name: str, value: Any, hint: Any) -> Any:
             raise _Misfit
         return tuple(_fit(name, item, kind) for item, kind in zip(value, kinds, strict=True))
     kind: Any = {int: numbers.Integral, float: numbers.Real, bool: bool | np.bool_}.get(hint, origin or hint)
-    excluded = (
-        bool if hint in (int, float) else str if origin in (Sequence, Iterable) else ()
-    )  # which Python counts among them
+    # which Python counts among them
+    excluded = bool if hint in (int, float) else str if origin in (Sequence, Iterable) else ()
     if not isinstance(value, kind) or isinstance(value, excluded):
         raise _Misfit
     value = tuple(value) if origin is Iterable else value

@@ -63,9 +63,8 @@ def asked_to_stop() -> Iterator[Callable[[], bool]]:
     An exception could occur in the middle of a record of the file.
     """
     flag = threading.Event()
-    signals = [
-        n for n in _NUMBERS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN
-    ]  # nohup ignores SIGHUP
+    # nohup ignores SIGHUP
+    signals = [n for n in _NUMBERS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN]
     handlers = {number: signal.signal(number, lambda *_: flag.set()) for number in signals}
     try:
         yield flag.is_set

@@ -176,6 +176,7 @@ ARM = builtin_text("irb120")
 BROKEN = [
     (TINY, 'name = "tiny"', 'name = "a\\nb"', r"name: 'a\\nb'"),
     (TINY, 'name = "tiny"', "", "robot file: needs name"),
+    (TINY, 'name = "tiny"', 'name = "tiny"\ngravity = [0, 0, 0]', "gravity: must not be zero"),
     (TINY, "sheth_uicker", "hayati", "'sheth_uicker', 'dh', 'modified_dh', 'elementary'"),
     (TINY, "[link2]", "[link3]", "unknown key 'link3'.* link2"),
     (TINY, "z_m = { design = 1.0 }", 'z_m = "1.0"', "link1: z_m: '1.0'"),

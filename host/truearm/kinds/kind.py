@@ -76,9 +76,8 @@ def look_up(
     rig does not have.
     """
     column = scope.column(column_name, rows)
-    first = np.flatnonzero(
-        np.append(True, column[1:] != column[:-1])[: column.size]
-    )  # rows of a name follow each other
+    # rows of a name follow each other
+    first = np.flatnonzero(np.append(True, column[1:] != column[:-1])[: column.size])
     names, which = enumerate_labels(column[first].tolist())
     which = np.repeat(which, np.diff(first, append=column.size))
     labels: list[Hashable] = []
@@ -183,9 +182,8 @@ class Kind(KindColumns):
     use_rig: Callable[[Scope, Indices], RigUse]
     entries: tuple[Entries[Any], ...] = ()  # entry types of rig files that it uses, its own and shared ones
     channels: tuple[tuple[str, ...], ...] = ()  # of the box, from which a session reads it, for each stream
-    dwell: Callable[[Rig, Mapping[str, str]], Sequence[DwellSensor | None]] | None = (
-        None  # the sensor on each channel while these parts are mounted, whose mean in a dwell is a row's quantity
-    )
+    # the sensor on each channel while these parts are mounted, whose mean in a dwell is a row's quantity
+    dwell: Callable[[Rig, Mapping[str, str]], Sequence[DwellSensor | None]] | None = None
     free_names: tuple[str, ...] = ()  # identifiers without entries in the rig: then any name is valid
     point: str = ""  # the column that names the measured point of the end; "" if there is none
     labels: tuple[str, ...] = ()  # columns whose names an operator can confuse (checks.labels)
@@ -195,16 +193,13 @@ class Kind(KindColumns):
     name: str  # for display: "ball-bar"
     residual: Mapping[str, str]  # for display, by SI unit: meaning of the residual
     proposals: Proposing | None = None  # further measurements of this kind
-    facts: Callable[[ObservationTable], tuple[tuple[str, str], ...]] | None = (
-        None  # of its rows, for a report: label, value
-    )
-    longitude: Callable[[Chain, Floats, Rig, ObservationTable], Floats] | None = (
-        None  # (n,) [rad] at params, for a figure
-    )
+    # of its rows, for a report: label, value
+    facts: Callable[[ObservationTable], tuple[tuple[str, str], ...]] | None = None
+    # (n,) [rad] at params, for a figure
+    longitude: Callable[[Chain, Floats, Rig, ObservationTable], Floats] | None = None
     check: Callable[[ObservationTable, Rig], None] | None = None  # raises TableError if rows and rig are inconsistent
-    doubts: Callable[[ObservationTable, Rig, Chain], list[Finding]] | None = (
-        None  # about rows that the device in the rig cannot have measured; of a plug-in, "doubtful-rows" with a reason
-    )
+    # about rows that the device in the rig cannot have measured; of a plug-in, "doubtful-rows" with a reason
+    doubts: Callable[[ObservationTable, Rig, Chain], list[Finding]] | None = None
 
     def __post_init__(self) -> None:
         """Raise TypeError or ValueError for a declaration that would fail at the first row."""

@@ -43,12 +43,10 @@ class Columns(NamedTuple):
     """The b columns of ``wrenches``: the six in the base frame, then those that each joint adds, then those of its law."""
 
     of_law: Floats  # (p, b) 1 where a column is the derivative by a parameter of a joint's law
-    changed: Sequence[
-        tuple[list[int], Floats]
-    ]  # of each joint: the wrench components that it changes, and their columns
-    constant: tuple[
-        Indices, Indices, Indices
-    ]  # parameters of laws with ∂θ/∂parameter = 1, their joints, their components
+    # of each joint: the wrench components that it changes, and their columns
+    changed: Sequence[tuple[list[int], Floats]]
+    # parameters of laws with ∂θ/∂parameter = 1, their joints, their components
+    constant: tuple[Indices, Indices, Indices]
 
 
 class Basis(NamedTuple):

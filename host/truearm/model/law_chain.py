@@ -1,6 +1,6 @@
 """A chain with error curves and sag: the joint laws that an identification adds to a robot.
 
-The robot file describes the geometry. The laws are described by the data in this module, small enough for a result
+The robot file describes the geometry. The laws are described by data (``types.Law``) that are small enough for a result
 file: the knots of each curve and the unit masses of each sag. ``with_laws`` turns these into further parameters of the
 chain, after all others and neutral until they are identified.
 """

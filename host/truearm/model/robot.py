@@ -37,7 +37,7 @@ from truearm.errors import RobotError
 from truearm.model.chain import Chain, forward
 from truearm.model.chain_structure import Joint
 from truearm.model.robot_tables import MAX_JOINTS, MAX_NAME, Description, chain_from_slots, read_tables, robot_number
-from truearm.schema import Key, List, Number, SchemaError, Table, Text, Whole, at, load_toml, raising
+from truearm.schema import Direction, Key, List, SchemaError, Table, Text, Whole, at, load_toml, raising
 from truearm.text import counted
 from truearm.types import Displayed, Floats
 from truearm.units import DEG
@@ -148,7 +148,7 @@ HEAD = (
     *(Key(name, LINE) for name in ("name", "convention", "nominal", "base_frame", "end_frame")),
     Key("source", Text(MAX_SOURCE, one_line=True), optional=True),
     Key("branch", BRANCH, optional=True),
-    Key("gravity", List(Number("1"), 3), optional=True),
+    Key("gravity", Direction(), optional=True),
     Key("checksums", List(Whole(0, 2**32 - 1), 6), optional=True),
     Key("capsule", List(CAPSULE, most=MAX_CAPSULES), optional=True),
 )
@@ -250,16 +250,13 @@ def parse_robot(text: str) -> Robot:
     amounts = [description.amounts[name] for name in chain.parameter_names]
     values = {name: np.array([amount.values[name] for amount in amounts]) for name in sets}
     free = np.array([not amount.held for amount in amounts], dtype=bool)
-    gravity = _gravity(head["gravity"]) if "gravity" in head else None
+    gravity = _unit_vector(head["gravity"]) if "gravity" in head else None
     text, checksums = head.get("source", ""), head.get("checksums", ())
     return Robot(chain, values, free, text, branch, capsules, gravity=gravity, checksums=checksums)
 
 
-def _gravity(direction: Sequence[float]) -> tuple[float, float, float]:
-    """Return a direction of length 1. Raises SchemaError."""
+def _unit_vector(direction: tuple[float, float, float]) -> tuple[float, float, float]:
     length = math.hypot(*direction)
-    if not length > 0.0:
-        raise SchemaError("gravity: must not be zero; give its direction in the base frame, such as [0, 0, -1]")
     x, y, z = (component / length for component in direction)
     return x, y, z
 

@@ -224,9 +224,8 @@ class EdgeReport:
     rejected: int = 0  # edges that contradict the others
     # falling edges of the output are seen later than rising ones by, at least and at most; NaN if unknown
     falling_later_ns: tuple[float, float] = (np.nan, np.nan)
-    to_box_ns: float = (
-        np.nan
-    )  # bound between controller and box, which the edges alone give; median; NaN if none is used
+    # bound between controller and box, which the edges alone give; median; NaN if none is used
+    to_box_ns: float = np.nan
     bound_ns: float = np.nan  # largest bound between controller and host, with that of the box's clock
     shortest_latency_ns: float = np.nan
     in_use: bool = False  # the robot's readings are timed by the edges, not by their arrivals

@@ -201,8 +201,7 @@ class Frames:
     """The frames (f,) in a batch of messages, which may follow frames of earlier ones. Messages that are not frames are left out.
 
     ``table`` (f,) of FRAME; ``message`` is an index in the batch. ``lost``, ``n``, ``run`` and ``gap`` are for ``streams``
-    to fill in. ``contents``: the samples of each data frame, and the
-    elements of each other frame that was decoded singly.
+    to fill in. ``contents``: the samples of each data frame, and the elements of each other frame that was decoded singly.
     The type of a frame that violates the specification is NONE; ``malformed`` counts these and the messages that are not
     frames.
     """

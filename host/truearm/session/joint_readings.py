@@ -288,9 +288,8 @@ class JointReader:
         t, seq = batch.t, batch.seq
         if segment == len(self._arrivals):
             if self._last_seq is not None and t[0] > self._arrivals[-1].last_s and seq[0] > self._last_seq:
-                self._count["lost"] += (
-                    int(seq[0]) - self._last_seq - 1
-                )  # the robot continued counting while nobody listened
+                # the robot continued counting while nobody listened
+                self._count["lost"] += int(seq[0]) - self._last_seq - 1
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())

@@ -1,9 +1,8 @@
 """Reduce the messages of a session to observations.
 
 ``survey`` reads the session. It accounts for every frame, collects the clock exchanges and the robot's data, keeps the
-samples of the ball-bar, and finds the dwells and the legs. ``observations`` processes the samples of one dwell and one
-leg after another. If they do not fit in the intended memory, the session is read again. A dwell gives one observation
-and a leg along a line device many, or a reason why not.
+samples of the kinds' channels on the disk, and finds the dwells and the legs. ``observations`` processes the samples of
+one dwell and one leg after another. A dwell gives one observation and a leg along a line device many, or a reason why not.
 """
 
 from __future__ import annotations

@@ -34,9 +34,8 @@ STAMP_NS = 1000  # edge stamps are at most 0.3 µs late; readings are printed to
 LATENCY_NS = 1e6  # shortest latency of a fast link: if the bounds are wider, arrivals are more accurate
 
 
-EDGE = np.dtype(
-    [("host_ns", "i8"), ("bound_ns", "f8"), ("rising", "?")]
-)  # an edge of the output, the error of its time
+# an edge of the output, the error of its time
+EDGE = np.dtype([("host_ns", "i8"), ("bound_ns", "f8"), ("rising", "?")])
 
 
 class Matched(NamedTuple):

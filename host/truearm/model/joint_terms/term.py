@@ -34,9 +34,8 @@ class Term(ABC):
     affine: ClassVar[bool] = False  # its ∂θ/∂q is diagonal and the same for all q
     constant: ClassVar[bool] = False  # its ∂θ/∂parameter is 1 for all q
     nonzero: ClassVar[bool] = False  # 0 is not a possible value of its parameters
-    learned: ClassVar[bool] = (
-        False  # added to a chain by an identification (``model.law_chain``); not a key of robot files
-    )
+    # added to a chain by an identification (``model.law_chain``); not a key of robot files
+    learned: ClassVar[bool] = False
 
     def __init__(self, structure: Structure, parameters: NDArray[np.intp]) -> None:
         """Create the term for ``parameters`` (m,): indices of the chain's parameters of this term, in order."""

@@ -73,7 +73,7 @@ def packed(kind: int, payload: bytes = b"") -> bytes:
 
 
 def request_outputs(names: Sequence[str], frequency_hz: float) -> bytes:
-    """Return a request for data packages of these fields; with their commas they may take MAX_NAMES_BYTES."""
+    """Return a request for data packages of these fields."""
     return packed(OUTPUTS, struct.pack(">d", frequency_hz) + ",".join(names).encode())
 
 
@@ -274,9 +274,8 @@ class RtdeLink(LinkOnTop):
         The recorder keeps the latter in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per second.
         """
         values = self._recipe.values(payload) if kind == DATA and self._recipe is not None else None
-        if values is not None and all(
-            map(math.isfinite, (values["timestamp"], *values["actual_q"]))
-        ):  # JSON has no others
+        # JSON has no others
+        if values is not None and all(map(math.isfinite, (values["timestamp"], *values["actual_q"]))):
             return self._reading(**values) + b"\n"
         return json.dumps({"rtde": kind, "payload": payload.decode("latin-1")}).encode() + b"\n"
 

@@ -4,7 +4,7 @@ This module imports nothing slow, so that ``--help`` can list the sources; a sou
 used. To add a live source, write a module here with ``connect(url, clock, last) -> Link`` and add its line to
 ``SOURCES``; other packages add a ``SourceEntry`` by an entry point of the group ``truearm.sources``. ``last`` is the
 link of an earlier connection to the same address, None for the first one. To add a file format, write a module with
-``readings(path, options) -> Iterator[Reading]`` and add its line to ``FILES``.
+``readings(path, options) -> Iterator[AddedReading]`` and add its line to ``FILES``.
 """
 
 from __future__ import annotations
