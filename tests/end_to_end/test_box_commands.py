@@ -17,7 +17,7 @@ from tests.host.findings_bench import listed
 
 from truearm import __version__
 from truearm.box.control import conversation
-from truearm.record import ports
+from truearm.record import links
 from truearm_sim.box import BoxSetup
 
 SILENT = {"converter_id": 0, "excitation": 20, "noise_0": 0, "stops": 3, "rail_5v": 4420}

@@ -7,7 +7,7 @@ import pytest
 from tests.end_to_end.conftest import record_session
 
 from truearm.estimate.identify import identify
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.workflows.recorded_session import observations_of_session, open_finished
 from truearm_sim.arm import Arm
 from truearm_sim.lab import HOST_AT_START_NS

@@ -24,7 +24,7 @@ from truearm.findings import option
 from truearm.kinds.rig_file import write_rig
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import write_table
-from truearm.model.builtin import builtin_names
+from truearm.model.robot_file import builtin_names
 from truearm.types import Rig
 
 

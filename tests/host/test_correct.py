@@ -11,7 +11,6 @@ from term_bench import register
 from truearm.correct.configurations import search, turned, within
 from truearm.correct.correction import Configuration, ModelPair, correct
 from truearm.correct.methods import Method
-from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
 from truearm.model.inverse import inverse, jacobian, singular_value

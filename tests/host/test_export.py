@@ -31,10 +31,9 @@ from truearm.kinds.table_file import read_table
 from truearm.model import joint_law
 from truearm.model.chain import forward
 from truearm.model.chain_structure import Parameter
-from truearm.model.poses import inverted
-from truearm.model.robot import builtin_robot, parse_robot
-from truearm.model.robot_file import load_robot
-from truearm.model.transforms import elementary
+from truearm.model.robot import parse_robot
+from truearm.model.robot_file import builtin_names, builtin_robot, load_robot
+from truearm.model.transforms import elementary, inverted
 from truearm.model.urdf import chain_from_urdf
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"

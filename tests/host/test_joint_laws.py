@@ -27,7 +27,7 @@ from truearm.model.chain import forward, joint_frames, point_forward, point_jaco
 from truearm.model.inverse import singular_value
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.law_chain import carries, distal_frames, with_laws
-from truearm.model.poses import position_and_rotation
+from truearm.model.transforms import position_and_rotation
 from truearm.plan.forecast import Knowledge, curve_forecasts
 from truearm.report.figures import law_figures
 from truearm.report.result_findings import law_findings

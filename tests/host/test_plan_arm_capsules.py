@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from tests.host import plan_bench as bench
 
 from truearm.model.chain import forward, joint_frames
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_names, builtin_robot
 from truearm.plan.measurement_limits import SHORT, Sizes, along_joints, clear, link_ends, make_shapes, segment_distance
 from truearm.types import Point, Rig
 

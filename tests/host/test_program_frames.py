@@ -16,8 +16,7 @@ from truearm.correct.methods import JointMoves
 from truearm.correct.programs.languages import base_of, flange_of, language_of
 from truearm.model.chain import forward
 from truearm.model.inverse import inverse
-from truearm.model.robot import builtin_robot
-from truearm.model.robot_file import RobotChoice, load_robot
+from truearm.model.robot_file import RobotChoice, builtin_robot, load_robot
 from truearm.workflows import correct_program as workflow
 from truearm.workflows.correct import tool0_in_flange
 from truearm.workflows.correct_program import CalibrationFrames, HowCorrected

@@ -23,7 +23,7 @@ from tests.refusals import ended, refused
 from truearm.cli.main import main
 from truearm.record.links import HostClock
 from truearm.record.recorder import RecordOptions
-from truearm.record.recover import recover
+from truearm.record.session_copies import recover
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 from truearm.workflows.inspect import describe

@@ -19,9 +19,8 @@ from truearm.cli.main import main
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError, TableError
 from truearm.record.intake import MAX_LINE
 from truearm.record.links import HostClock
-from truearm.record.robots.joint_table import read_columns, readings
 from truearm.record.robots.sources import FileOptions, open_source
-from truearm.record.robots.text_lines import OVERLONG, LineDialect, LinesLink
+from truearm.record.robots.text_lines import OVERLONG, LineDialect, LinesLink, read_columns, readings
 from truearm.session.joint_format import parse_line
 from truearm.session.session_file import open_session
 

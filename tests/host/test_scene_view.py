@@ -16,7 +16,7 @@ from report_bench import HOSTILE, Strict, make_page, render
 
 import truearm
 from truearm.model.chain import forward, point_forward
-from truearm.model.rotation import rotation
+from truearm.model.transforms import rotation
 from truearm.report.page import view_section
 from truearm.types import Device, Point, rms
 from truearm.workflows.scene import AFTER, BEFORE, EXPECTED, calibration_scene

@@ -20,7 +20,7 @@ import truearm
 from truearm.cli.main import main
 from truearm.estimate.prior import weak_prior
 from truearm.kinds.rig_file import parse_rig, write_rig
-from truearm.kinds.socket_distance import other_lengths
+from truearm.kinds.seat import other_lengths
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_and_end_frames, point_forward, point_jacobians
 from truearm.model.robot_file import load_robot

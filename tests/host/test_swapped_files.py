@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from tests.refusals import ended
 
-from truearm.file_names import missing_file
+from truearm.disk import missing_file
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 FILES = {

@@ -7,8 +7,8 @@ import pytest
 from tests.refusals import refused
 
 from truearm.errors import InputError
-from truearm.record.robots.joint_table import parse_renames, readings, renamed, separator_of
 from truearm.record.robots.sources import FileOptions
+from truearm.record.robots.text_lines import parse_renames, readings, renamed, separator_of
 
 UR = "t_s=timestamp,q{}_rad=actual_q_{},qd{}_rad_s=actual_qd_{}"
 HEADER = ["timestamp", "robot_mode", *(f"actual_q_{i}" for i in range(6)), *(f"actual_qd_{i}" for i in range(6))]

@@ -7,7 +7,7 @@ import pytest
 
 from truearm.errors import PlanError
 from truearm.model.chain import forward, joint_jacobian
-from truearm.model.robot import builtin_robot
+from truearm.model.robot_file import builtin_robot
 from truearm.plan import route as tour
 from truearm.plan.forecast import Knowledge
 from truearm.types import Point, Rig

@@ -14,7 +14,7 @@ from typing import Any
 
 from truearm.errors import InputError
 from truearm.findings import Finding, option, worded
-from truearm.session.box_ident import Channel, Ident, Stream, find_channels
+from truearm.session.frames import Channel, Ident, Stream, find_channels
 from truearm.text import one_line
 from truearm.units import MM, MS, NS, UM, US, length, micro
 

@@ -19,7 +19,7 @@ from truearm.box.control import BoxControl
 from truearm.disk import parse_toml
 from truearm.errors import ConfigError, ProtocolError
 from truearm.schema import Entries, Key, List, SchemaError, Table, Text, Value, hint, load_toml, quoted, raising, read
-from truearm.session.box_ident import MAX_COEFFICIENTS, MAX_EXPONENT
+from truearm.session.frames import MAX_COEFFICIENTS, MAX_EXPONENT
 from truearm.text import one_line
 from truearm.units import NS
 from truearm_wire import config as rules

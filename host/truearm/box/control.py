@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, LinkError, ProtocolError, RefusedError
 from truearm.progress import step
-from truearm.record.frame_splitter import FrameCount, FrameSplitter
 from truearm.record.links import Clock, HostClock, Link, SerialLink
-from truearm.record.requests import NAMES, RETRIES, SECOND, NoAnswerError, Requests
-from truearm.session.box_ident import Ident, Stream, load_document
-from truearm.session.frames import Data, data_of, named_elements
+from truearm.record.requests import NAMES, RETRIES, SECOND, FrameCount, FrameSplitter, NoAnswerError, Requests
+from truearm.session.frames import Data, Ident, Stream, data_of, load_document, named_elements
 from truearm.session.samples import counts_of
 from truearm.units import NS
 from truearm_wire import messages as wire

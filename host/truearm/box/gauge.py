@@ -44,8 +44,8 @@ from truearm.kinds.csv_cells import read_csv
 from truearm.report import page, svg
 from truearm.report.tables import Table
 from truearm.schema import raising
-from truearm.session.box_ident import Channel, Ident, Stream
-from truearm.session.sample_noise import MeanOfSamples, mean_of, quick_noise
+from truearm.session.dwells import MeanOfSamples, mean_of, quick_noise
+from truearm.session.frames import Channel, Ident, Stream
 from truearm.session.samples import railed, volts
 from truearm.text import counted, one_line
 from truearm.text import page as docs_page

@@ -22,8 +22,7 @@ import click
 from truearm.additions import plug_in_error
 from truearm.cli.output import print_json
 from truearm.cli.project import CommandGroup, defaults, missing_file, option_for
-from truearm.errors import PlugInError, TruearmError
-from truearm.exit_codes import ExitCode, table
+from truearm.errors import ExitCode, PlugInError, TruearmError, exit_code_table
 from truearm.findings import Finding, option
 from truearm.text import one_line
 from truearm.version import VERSION

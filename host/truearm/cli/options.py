@@ -118,15 +118,15 @@ import click
 
 from truearm import option_defaults
 from truearm.errors import InputError
-from truearm.model.builtin import builtin_names, names_with_branch
+from truearm.model.robot_file import builtin_names, names_with_branch
 from truearm.plan.options import Criterion, languages_help
 from truearm.record.robots.sources import sources_help
 from truearm.units import DEG, KG, MM, Scale, from_shown
 
 if TYPE_CHECKING:
     from truearm.model.chain import Chain
-    from truearm.model.poses import Six
-    from truearm.model.workspace import Branch
+    from truearm.model.robot import Branch
+    from truearm.model.transforms import Six
     from truearm.plan.measurement_limits import Region
     from truearm.types import Payload
     from truearm.workflows.inputs import Sources
@@ -273,7 +273,7 @@ def joint_pair(text: str) -> tuple[int, int]:
 
 def renames_of(text: str) -> tuple[tuple[str, str], ...]:
     """Return the titles of columns with those of a file."""
-    from truearm.record.robots.joint_table import parse_renames
+    from truearm.record.robots.text_lines import parse_renames
 
     return parse_renames(text)
 

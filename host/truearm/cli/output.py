@@ -14,8 +14,7 @@ from typing import Any
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
 from truearm.report.tables import Table
-from truearm.strict_json import strict_json
-from truearm.text import counted, one_line
+from truearm.text import counted, one_line, strict_json
 
 MAX_LINES = 15  # of the short form
 IN_FILES = 120  # columns of a file or a pipe

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import click
 from click.core import ParameterSource
 
+from truearm.disk import KINDS, kind_of
 from truearm.errors import InputError
 from truearm.workflows.project_file import Project, project_of
 

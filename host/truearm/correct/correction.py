@@ -38,12 +38,10 @@ from numpy.typing import NDArray
 
 from truearm.correct.configurations import Origins, search, within
 from truearm.correct.methods import Method
-from truearm.display import Displayed
 from truearm.model.chain import Chain, forward
 from truearm.model.inverse import inverse, jacobian, singular_value
-from truearm.model.poses import apart, inverted, moved
 from truearm.model.robot_mounting import NONE, Mountings, own_law
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import apart, inverted, moved, rotation_vector
 from truearm.option_defaults import MARGIN
 from truearm.text import counted
 from truearm.types import Displayed, Floats

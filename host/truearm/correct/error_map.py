@@ -24,7 +24,6 @@ from scipy.spatial import KDTree
 
 from truearm.correct.configurations import within
 from truearm.correct.correction import ModelPair, believed, reached
-from truearm.display import Displayed
 from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.results import MOVES

@@ -28,8 +28,7 @@ import numpy as np
 from truearm.errors import RobotError
 from truearm.export.writing import LinkFrames, RobotToWrite
 from truearm.model.chain_structure import Joint
-from truearm.model.poses import inverted, six_of
-from truearm.model.transforms import elementary
+from truearm.model.transforms import elementary, inverted, six_of
 from truearm.types import Floats
 from truearm.units import UNITS
 

@@ -26,8 +26,7 @@ import numpy as np
 from truearm.errors import RobotError
 from truearm.export.writing import LinkFrames, RobotToWrite, check_gains, joint_motion
 from truearm.model.chain import Chain
-from truearm.model.poses import inverted, position_and_rotation, six_of
-from truearm.model.transforms import Element, elementary
+from truearm.model.transforms import Element, elementary, inverted, position_and_rotation, six_of
 from truearm.types import Floats
 
 _ATTRIBUTE = re.compile(r"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")

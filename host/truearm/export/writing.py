@@ -28,13 +28,11 @@ from truearm.errors import RobotError
 from truearm.export.formats import FORMATS, Format
 from truearm.model import joint_law
 from truearm.model.chain import Chain, forward, point_forward, point_jacobians
-from truearm.model.chain_frames import far_frames
-from truearm.model.chain_structure import GEOMETRY, Joint, Parameter
+from truearm.model.chain_structure import GEOMETRY, Joint, Parameter, far_frames
 from truearm.model.joint_law import JointLaw
 from truearm.model.joint_terms.term import Term
-from truearm.model.poses import apart
 from truearm.model.robot_mounting import NONE, mountings, own_law, own_links
-from truearm.model.transforms import elementary
+from truearm.model.transforms import apart, elementary
 from truearm.types import Floats, rms
 from truearm.units import MM, UNITS
 

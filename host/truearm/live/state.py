@@ -20,7 +20,7 @@ from truearm.box.monitor import LastSecond, value_of
 from truearm.errors import Argument, InputError
 from truearm.finding_texts import Severity
 from truearm.findings import Finding, option
-from truearm.record.joint_lines import SILENCE_S
+from truearm.record.intake import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent, Status
 from truearm.session.dwells import DRIFT_SIGMAS, LEAST_LAGS, MICRON, mean_of
 from truearm.session.frames import Channel, Data, Ident, Stream

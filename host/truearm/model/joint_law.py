@@ -23,11 +23,8 @@ from itertools import pairwise
 import numpy as np
 
 from truearm.additions import instance, with_additions
-from truearm.model.chain_structure import Structure
-from truearm.model.joint_terms.gain import Gain
-from truearm.model.joint_terms.offset import Offset
-from truearm.model.joint_terms.term import Term
-from truearm.model.mimic import completed
+from truearm.model.chain_structure import Structure, completed
+from truearm.model.joint_terms.term import Gain, Offset, Term
 from truearm.types import Floats
 
 # In the order of a joint's parameters, after offset and gain, which every controller has.
@@ -43,8 +40,9 @@ GOOD = 1e-9  # rad, m: largest error of a valid inverse
 
 @cache
 def terms() -> tuple[type[Term], ...]:
-    """Return the terms in the order of TERM_FILES, then those of other packages (entry points "truearm.joint_terms")."""
-    bundled = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
+    """Return offset, gain and the terms of TERM_FILES, then those of other packages (entry points "truearm.joint_terms")."""
+    further = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
+    bundled = {"offset": Offset, "gain": Gain, **further}
     return tuple(with_additions("joint_terms", bundled, instance(type)).values())
 
 

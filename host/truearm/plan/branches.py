@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from truearm.errors import Argument, PlanError
-from truearm.model.builtin import names_with_branch
 from truearm.model.chain import Chain, forward, joint_frames
 from truearm.model.inverse import error_and_jacobian, singular_value
-from truearm.model.robot import Robot
-from truearm.model.workspace import Branch, check_branch
+from truearm.model.robot import Branch, Robot, check_branch
+from truearm.model.robot_file import names_with_branch
 from truearm.schema import SchemaError
 from truearm.types import Floats
 

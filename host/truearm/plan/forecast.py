@@ -42,8 +42,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, forward, point_forward, point_jacobians
 from truearm.model.joint_law import terms
 from truearm.model.law_chain import with_laws
-from truearm.model.robot import Robot
-from truearm.model.workspace import Branch, Capsules
+from truearm.model.robot import Branch, Capsules, Robot
 from truearm.plan.branches import Arm, make_arm
 from truearm.results import Defaults, NullDirection
 from truearm.types import Floats, Plan, Rig, rms

@@ -32,7 +32,7 @@ from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import end_and_jacobian, forward, point_forward, point_jacobians
 from truearm.model.inverse import inverse, singular_value
-from truearm.model.rotation import rotation_vector
+from truearm.model.transforms import rotation_vector
 from truearm.plan.bar_paths import Pace, samples, way_without_bar
 from truearm.plan.branches import LEVER
 from truearm.plan.choose import as_blocks, choose, condensed

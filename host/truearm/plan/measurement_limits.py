@@ -24,7 +24,7 @@ from truearm.arguments import floats
 from truearm.errors import Argument, InputError, PlanError
 from truearm.model.chain import Chain, forward, joint_and_end_frames, joint_frames, point_forward
 from truearm.model.inverse import singular_value
-from truearm.model.workspace import Capsules
+from truearm.model.robot import Capsules
 from truearm.plan.branches import LEVER, Arm
 from truearm.types import BallBar, Floats, Plan, Rig
 

@@ -27,8 +27,8 @@ from truearm.model.robot import Robot
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.report.page import UNRECORDED, Facts, Recording, between
-from truearm.session.box_ident import decimal
-from truearm.session.labels_file import labels_path, read_labels
+from truearm.session.frames import decimal
+from truearm.session.plan_matching import labels_path, read_labels
 from truearm.text import one_line
 from truearm.types import DOUBTFUL, Rig, Rigs, SocketDistance, rigs_by_name
 from truearm.units import NS, UM, US

@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 from truearm.box.condition import Purpose
 from truearm.box.configuration import MODULATOR_NS
-from truearm.disk import check_writable, read_bytes
+from truearm.disk import check_writable, is_held, read_bytes
 from truearm.errors import Argument, IncompleteError, InputError, RigError, TruearmError, WriteError
 from truearm.findings import Finding, entries, option
 from truearm.kinds.rig_file import MAX_BYTES, parse_rig, read_rig

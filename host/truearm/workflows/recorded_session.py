@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truearm.box.condition import FAR, LVDT, LVDT_DRIFT, STEEL
-from truearm.disk import same_file
+from truearm.disk import is_held, same_file
 from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.findings import Finding
-from truearm.record.write_lock import is_held
-from truearm.session.labels_file import read_labels
+from truearm.session.plan_matching import read_labels
 from truearm.text import counted, one_line, page
 from truearm.types import DOUBTFUL, Floats, Move
 from truearm.units import MM, PPM_PER_K
@@ -96,7 +95,7 @@ def recorded_model(path: Path) -> str:
     """Return the robot, or its file, for which a session was recorded; "" if the session does not name one."""
     from mcap.opcode import Opcode
 
-    from truearm.file_names import open_input
+    from truearm.disk import open_input
     from truearm.session.session_file import MAX_METADATA_BYTES, Unreadable, parse_metadata, records
 
     with suppress(InputError, Unreadable), open_input(path) as file:

@@ -16,24 +16,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.disk import check_new_folder, check_writable, replacing, sha256, working_folder
+from truearm.disk import check_new_folder, check_writable, replacing, sha256, system_reason, working_folder
 from truearm.errors import Argument, InputError, SessionError, WriteError
-from truearm.file_names import system_reason
 from truearm.findings import Finding, option, stated
 from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table_file import table_columns
 from truearm.model.robot_file import RobotChoice
 from truearm.progress import step
-from truearm.record.recover import Recovered
-from truearm.record.recover import recover as recover_session
-from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
+from truearm.record.session_copies import Recovered, add_readings
+from truearm.record.session_copies import recover as recover_session
 from truearm.report.session_findings import damage_finding
 from truearm.session.observations import Survey
 from truearm.session.session_file import Session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
-from truearm.strict_json import strict_json
-from truearm.text import one_line
+from truearm.text import one_line, strict_json
 from truearm.types import Rig
 from truearm.workflows.recorded_session import open_finished, paired, surveyed
 from truearm.workflows.requests import ExportSession

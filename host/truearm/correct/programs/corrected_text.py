@@ -18,7 +18,7 @@ from truearm.correct.programs.census import Census
 from truearm.correct.programs.program import Form, Goal, Move, Place, Program
 from truearm.correct.programs.reading import plain, poses_of, readings_of, texts_of_poses, texts_of_readings
 from truearm.findings import option
-from truearm.model.poses import apart
+from truearm.model.transforms import apart
 from truearm.types import Floats
 
 CONFIGURED = (0, 3, 5)  # axes whose quarter turns cf1, cf4 and cf6 of a robtarget give

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from truearm.correct.programs.program import Datum, Form, Goal, Literal, Move, Place, Program, Scope, Step, Surroundings
 from truearm.correct.programs.tokens import Tokens, is_bracketed, separated
 from truearm.findings import Reason
-from truearm.model.poses import pose_of
+from truearm.model.transforms import pose_of
 from truearm.types import Floats
 from truearm.units import DEG, MM, UNITS
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from truearm.disk import open_input
 from truearm.errors import Argument, InputError, SessionError
-from truearm.record.robots.joint_table import NO_ARRIVAL
 from truearm.record.robots.sources import AddedReading, FileOptions
+from truearm.record.robots.text_lines import NO_ARRIVAL
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading
 

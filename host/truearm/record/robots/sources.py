@@ -67,7 +67,7 @@ OWN: Mapping[str, SourceEntry] = {
     "lines+udp": SourceEntry(".text_lines", "0.0.0.0:7008", "the same in datagrams, sent to this computer"),
 }
 SOURCES = with_additions("sources", OWN, lambda fields: SourceEntry(*fields))
-TABLE = FileEntry(".joint_table", (".csv",), False, "a table (.csv)")
+TABLE = FileEntry(".text_lines", (".csv",), False, "a table (.csv)")
 FILES: tuple[FileEntry, ...] = (
     FileEntry(".bags", (".mcap", ".db3"), True, "a ROS 2 bag (a folder, .mcap or .db3)"),
     TABLE,
