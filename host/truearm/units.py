@@ -82,7 +82,7 @@ class Unit:
 
     ``own``: the SI unit as a scale. ``scale``: its display unit. Keys and columns of files may be written in either.
     ``decimals``: of a value with its standard deviation. ``largest``: a larger number [SI] was written in another unit.
-    ``weak_sigma`` and ``wide_sigma``: σ [SI] of a drawing, and of manual mounting (``estimate.prior``); a parameter
+    ``weak_sigma`` and ``wide_sigma``: σ [SI] of a drawing, and of manual mounting (``estimate.uncertainty``); a parameter
     known less well than ``weak_sigma`` is hardly identifiable. ``vague_sigma``: σ [SI] that represents no knowledge
     where a plan needs a finite one. ``others``: further scales that only some files or displays have.
     """

@@ -9,7 +9,7 @@ from scipy import stats
 from tests.end_to_end.conftest import lab_with, measured_by_bars, recorded_with_plan
 
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot_file import builtin_robot

@@ -12,10 +12,9 @@ from scipy import special, stats
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import fold, half, spectrum
-from truearm.estimate.prior import weak_prior
 from truearm.estimate.robust import clean_square, weigh
 from truearm.estimate.solvers import SOLVERS, Loss
-from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.estimate.uncertainty import goodness, prior_shares, weak_prior
 
 DRAWS = 20_000
 

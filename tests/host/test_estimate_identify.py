@@ -24,7 +24,7 @@ from truearm.estimate import fit as fit_module
 from truearm.estimate import problem as problem_module
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, point_jacobians
 from truearm.model.urdf import free_without_gains

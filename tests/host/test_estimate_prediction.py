@@ -12,7 +12,7 @@ from truearm.estimate import prediction
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import MOST_POSES, ParametersKnown, end_sigmas, point_covariance, predicted_point_error
-from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward, point_jacobians
 from truearm.model.robot_file import load_robot

@@ -10,8 +10,8 @@ from truearm.estimate.circumstances import poses
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import half, spectrum
+from truearm.estimate.law_fit import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.problem import build_problem
-from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options
 from truearm.estimate.uncertainty import Goodness
 from truearm.kinds.table import ObservationTable

@@ -9,7 +9,7 @@ from ur10_bench import FOLDER
 
 import truearm
 from truearm.estimate.mean_error import gain_of, mean_changes
-from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.results import Gain, MeanChange
 from truearm.workflows.identify import write_page
 

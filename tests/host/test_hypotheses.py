@@ -16,10 +16,9 @@ from truearm.checks.catalogue import TYPICAL, Hypothesis, catalogue, spans_of
 from truearm.checks.evidence import SCALES, WIDEST, build_design, moments, weigh
 from truearm.checks.examination import examined, tool_gram
 from truearm.checks.labels import relabelled
-from truearm.checks.noise import learned_noise
 from truearm.checks.search import chance_of_ranks, gain, left_out, searched
 from truearm.checks.trial import Alternative
-from truearm.checks.whitened import DECLARED, whitened_fit
+from truearm.checks.whitened import DECLARED, learned_noise, whitened_fit
 from truearm.estimate.circumstances import measured_order
 from truearm.estimate.problem import build_problem
 from truearm.kinds import ball_bar

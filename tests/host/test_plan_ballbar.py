@@ -10,8 +10,8 @@ from tests.refusals import refused
 
 import truearm
 from truearm.estimate.identify import identify
-from truearm.estimate.prior import weak_prior
 from truearm.estimate.solvers import Prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.model.robot_file import builtin_robot
 from truearm.model.urdf import free_without_gains
 from truearm.plan.ball_bar_plan import all_pairings, plan_ballbar

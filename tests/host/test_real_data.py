@@ -11,7 +11,7 @@ from truearm.checks.examination import examined, tool_gram
 from truearm.checks.inputs import explaining
 from truearm.checks.trial import Alternative, fitted
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.kinds.rig_file import read_rig
 from truearm.kinds.table_file import read_table
 from truearm.model.robot_file import load_robot

@@ -8,7 +8,7 @@ from line_stream import CHAIN, MAGNET, ROBOT, line_session, some_lines, true_par
 from session_stream import stream_of
 
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prior import wide_prior
+from truearm.estimate.uncertainty import wide_prior
 from truearm.model.transforms import rotation_vector
 from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig

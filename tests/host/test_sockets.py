@@ -18,7 +18,7 @@ from tests.refusals import ended, refused, shown
 
 import truearm
 from truearm.cli.main import main
-from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.kinds.rig_file import parse_rig, write_rig
 from truearm.kinds.seat import other_lengths
 from truearm.kinds.table import ObservationTable

@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -169,17 +169,16 @@ def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
     options = [weigh([weighed.hypothesis], design)[0] for weighed in (detection.best, *rivals)]
     threshold = max(weighed.log_evidence for weighed in options) - RIVAL
     options = [weighed for weighed in options if weighed.log_evidence > threshold]
-    pairs = zip(options, shares([weighed.log_evidence for weighed in options]), strict=True)
-    return tuple(
-        explanation(weighed, weight, design, result.response @ weighed.columns, is_named=True)
-        for weighed, weight in pairs
-    )
+    return choices_of(options, design, [result.response @ weighed.columns for weighed in options])
 
 
-def shares(log_evidence: Sequence[float]) -> list[float]:
-    """Return the probabilities of explanations of which one is true."""
-    probability: list[float] = np.exp(log_evidence - special.logsumexp(log_evidence)).tolist()
-    return probability
+def choices_of(
+    options: Sequence[Weighed], design: Design, loadings: Iterable[Floats], scale: float | None = None
+) -> tuple[Choice, ...]:
+    """Return explanations of which one is true, with their probabilities."""
+    log = np.array([weighed.log_evidence for weighed in options])
+    triples = zip(options, np.exp(log - special.logsumexp(log)).tolist(), loadings, strict=True)
+    return tuple(explanation(weighed, weight, design, loading, True, scale) for weighed, weight, loading in triples)
 
 
 class AllRows(NamedTuple):
@@ -257,16 +256,17 @@ def reweighed(
     for choices, of_finding in zip(average.choices, columns, strict=True):
         others = [other[0] for other in columns if other is not of_finding]
         beside = design.extended(np.concatenate([design.fit.jac[:, :0], *others], axis=1))
-        of_all = [
-            weigh([replace(choice.weighed.hypothesis, fit=design.fit, columns=column, candidates=IN_ALL)], beside)[0]
-            for choice, column in zip(choices, of_finding, strict=True)
-        ]
-        prices = [math.log(choice.weighed.hypothesis.candidates.number) for choice in choices]
-        weights = shares([weighed.log_evidence - price for weighed, price in zip(of_all, prices, strict=True)])
-        new = [explanation(*args, beside, next(loadings), True, WIDEST) for args in zip(of_all, weights, strict=True)]
+        options = []
+        for choice, column in zip(choices, of_finding, strict=True):
+            hypothesis = choice.weighed.hypothesis
+            in_all = IN_ALL._replace(among=hypothesis.candidates.number)
+            of_all = replace(hypothesis, fit=design.fit, columns=column, candidates=in_all)
+            options += weigh([of_all], beside)
+        new = choices_of(options, beside, islice(loadings, len(options)), WIDEST)
         if average.kernel.shared:
-            new = [choice._replace(size=own.size, step=own.step) for choice, own in zip(choices, new, strict=True)]
-        out.append(tuple(new))
+            pairs = zip(choices, new, strict=True)
+            new = tuple(choice._replace(size=by_all.size, step=by_all.step) for choice, by_all in pairs)
+        out.append(new)
     return tuple(out)
 
 

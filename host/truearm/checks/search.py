@@ -18,8 +18,7 @@ from scipy import linalg, special
 
 from truearm.checks.catalogue import Hypothesis, alike, catalogue, rows_used, spans_of
 from truearm.checks.evidence import WIDEST, Design, Information, Weighed, build_design, information, weigh
-from truearm.checks.noise import learned_noise
-from truearm.checks.whitened import DECLARED, WhitenedFit
+from truearm.checks.whitened import DECLARED, WhitenedFit, learned_noise
 from truearm.estimate.ties import largest_first
 from truearm.types import Floats, Indices
 

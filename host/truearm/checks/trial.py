@@ -21,9 +21,9 @@ from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.information import observe
 from truearm.estimate.levenberg_marquardt import DAMPING_START, Damping, Ends
-from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, build_problem
 from truearm.estimate.solution import Options, goodness_of, rms_of
+from truearm.estimate.uncertainty import wide_prior
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect

@@ -34,10 +34,10 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import RANK_TOLERANCE, Information, of_rows
 from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.outliers import gross_rows
-from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import Loss
+from truearm.estimate.uncertainty import weak_prior, wide_prior
 from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain

@@ -16,9 +16,9 @@ from truearm.errors import ProblemError
 from truearm.estimate.circumstances import poses
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.further_measurements import additions
 from truearm.estimate.identifiability import (
     Identifiability,
+    additions,
     hardly_seen,
     identifiability,
     identifiable_columns,
@@ -28,6 +28,7 @@ from truearm.estimate.identifiability import (
     suggested_free,
 )
 from truearm.estimate.information import observe, of_rows
+from truearm.estimate.law_fit import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.levenberg_marquardt import Damping, Ends
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.outliers import (
@@ -40,13 +41,11 @@ from truearm.estimate.outliers import (
     without_bad_rows,
     without_outliers,
 )
-from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, build_problem, settled, without_effect_priors
 from truearm.estimate.row_errors import Judge, RowErrors, judging, left_out_errors
-from truearm.estimate.scatter import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.solution import Options, Solution, goodness_of, rms_of, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss
-from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
+from truearm.estimate.uncertainty import Goodness, goodness, prior_shares, weak_prior
 from truearm.estimate.validation import judge_problem
 from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable

@@ -10,6 +10,8 @@ Computation 4(3)). With A = G Gᵀ, L Lᵀ = I + Gᵀ S G, X = L⁻¹ Gᵀ and V
 Poses in a corner of the joint space determine the sum of geometry and laws there, but not elsewhere. The estimate is
 therefore moved towards the geometry as far as the fitted rows permit (``nearer_geometry``). Where many poses determine
 the laws, this changes nothing. The covariance of the result is P plus the square of the move.
+
+The arm's own scatter is learned in the same way in a fit without laws (``learned_scatter``).
 """
 
 from __future__ import annotations
@@ -23,10 +25,12 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
+from scipy.special import chdtri
 
 from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import LawPrior, acting
 from truearm.estimate.pose_noise import (
+    MOTIONS,
     PoseNoise,
     RowsByPose,
     independent,
@@ -37,8 +41,10 @@ from truearm.estimate.pose_noise import (
     pose_samples,
 )
 from truearm.estimate.problem import Problem
+from truearm.estimate.uncertainty import Goodness
 from truearm.estimate.whitened_rows import only
 from truearm.progress import steps_of
+from truearm.results import Scatter
 from truearm.types import Floats, Indices, Law, Mask
 from truearm.units import UNITS
 
@@ -61,6 +67,11 @@ REVIVED = 0.03  # of the cap: least √v where learning starts, because zero is 
 STEPS = 8  # of the variances, for one noise
 
 _pstrf = get_lapack_funcs("pstrf", dtype=np.float64)
+LEVEL = (
+    0.05  # of the limit; variances cannot be negative, so noise of the sensors passes for the arm's in 1 of 300 fits
+)
+LEAST_SHARE = 0.5  # of the rows must share their pose with others
+JOINT_NOISE = 1e-4  # rad, initial value
 
 
 class ModePrior(NamedTuple):
@@ -379,3 +390,68 @@ def nearer_geometry(problem: LawProblem, anywhere: Problem, fit: Posterior, misf
     x = fit.x.copy()
     x[problem.columns] += move
     return fit._replace(x=x, covariance=fit.covariance + np.outer(move, move))
+
+
+def learned_scatter(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, fit: Goodness
+) -> Scatter | None:
+    """Return the scatter of the arm at the estimate x (P,); ``pose`` (n_rows,) are the numbers of the rows' poses.
+
+    Parameters keep their least-squares values: unmodelled errors that differ between the points of a pose would distort
+    weights learned from them. None where declared noise explains a ``fit`` to poses of single rows: nothing is left for
+    the arm.
+    """
+    if fit.explained and not shared_poses(problem, pose):
+        return None
+    laws_problem = law_problem(problem, columns, x, pose, {})
+    return scatter_of(laws_problem, learn(laws_problem, PoseNoise.of(1.0, len(problem.chain.joints), JOINT_NOISE)))
+
+
+def scatter_of(problem: LawProblem, learned: Learned) -> Scatter:
+    """Return the scatter that was learned beside the laws of a problem."""
+    noise, joints = learned.noise, problem.problem.chain.joints
+    return Scatter(
+        noise.sensor,
+        math.sqrt(noise.shared),
+        math.sqrt(noise.turned),
+        dict(zip((joint.name for joint in joints), np.sqrt(noise.joint).tolist(), strict=True)),
+        tuple(joint.name for joint in joints if joint.kind != "revolute"),
+        nats_of_scatter(problem, learned),
+        shared_poses(problem.problem, problem.pose),
+        {},
+    )
+
+
+def is_of_arm(scatter: Scatter) -> bool:
+    """Return whether noise of the sensors alone would seldom raise the evidence for errors of the arm so much.
+
+    Twice the nats are then χ² (Wilks), of at most as many degrees of freedom as the arm's errors have variances.
+    """
+    return bool(2.0 * scatter.nats > chdtri(len(scatter.joint) + 2, LEVEL))
+
+
+def covariance_with(
+    scatter: Scatter, problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices
+) -> Floats:
+    """Return the covariance (k, k) of least-squares estimates at x (P,), where ``root`` (k, r) is S.
+
+    With Q = J S and the learned covariance R of the whitened rows it is S (I + Qᵀ(R − I)Q) Sᵀ. A prior, which is not
+    based on any row, enters it as declared.
+    """
+    sigma = np.concatenate([np.repeat([scatter.shared, scatter.turned], MOTIONS), list(scatter.joint.values())])
+    excess = np.eye(root.shape[1])
+    for poses in pose_rows(problem, x, columns, pose):
+        if not poses.is_knowledge:
+            seen = poses.rows[..., :-1] @ root
+            rows = seen.reshape(-1, root.shape[1])
+            along = ((poses.moved * sigma).swapaxes(1, 2) @ seen).reshape(-1, root.shape[1])
+            excess += max(scatter.factor - 1.0, 0.0) * rows.T @ rows + along.T @ along  # at least as declared
+    return np.asarray(root @ excess @ root.T)
+
+
+def shared_poses(problem: Problem, pose: Indices) -> int:
+    """Return how many poses have several rows; 0 if fewer than half of the rows are in one of these."""
+    rows = [group.row for group in problem.groups if group.row is not None]
+    count = np.unique(pose[np.concatenate(rows)], return_counts=True)[1] if rows else np.zeros(0, np.intp)
+    several = count[count > 1]
+    return several.size if several.size and several.sum() >= LEAST_SHARE * count.sum() else 0

@@ -24,8 +24,8 @@ import numpy as np
 from scipy import special
 from scipy.linalg import cho_factor, cho_solve
 
-from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import blocks, build_problem
+from truearm.estimate.uncertainty import weak_prior, wide_prior
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.progress import steps_of

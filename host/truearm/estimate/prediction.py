@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.scatter import is_of_arm
+from truearm.estimate.law_fit import is_of_arm
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.position import nearest_rotation
 from truearm.kinds.registry import kinds

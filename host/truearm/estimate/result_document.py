@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm import results
+from truearm.estimate.law_fit import is_of_arm
 from truearm.estimate.mean_error import gain_of
 from truearm.estimate.result_file import Covariance, ParameterEstimate, Result, RobotFrames
-from truearm.estimate.scatter import is_of_arm
 from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table import ObservationTable
 from truearm.units import MM, MRAD, UNITS, key, named, shown

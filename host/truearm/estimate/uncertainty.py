@@ -1,6 +1,6 @@
-"""Quality of an estimate: how well it fits (χ²), and how uncertain the position of the robot's end is (covariance).
+"""What is known of a robot before any measurement (prior), and the quality of an estimate: χ², covariance of the end.
 
-χ² is that of the n data alone, over ν = n − tr(H) with the hat matrix H = J(JᵀJ + M)⁻¹Jᵀ, M the prior's information.
+**χ²** is that of the n data alone, over ν = n − tr(H) with the hat matrix H = J(JᵀJ + M)⁻¹Jᵀ, M the prior's information.
 Its range holds for every prior that is true or too wide: docs/explanation/estimation.md derives it. The total cost
 would depend on the prior's width more than on residuals.
 
@@ -15,13 +15,15 @@ along directions that affect no pose.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from scipy import special
 
+from truearm.estimate.solvers import Prior
 from truearm.model.chain import Chain, point_jacobians
 from truearm.types import Floats
+from truearm.units import UNITS
 
 CHUNK = 2048  # poses whose Jacobians (3 × p each) are held at once
 LEAST_FREEDOM = 0.5  # of a residual
@@ -90,3 +92,30 @@ def covariance_root(covariance: Floats) -> Floats:
     divisor = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / divisor / divisor[:, None])
     return np.asarray(divisor[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def weak_prior(chain: Chain) -> Floats:
+    """Return standard deviations (p,) by unit, the accuracy of a drawing: 1 mm, 5 mrad, 1e-3 of a gain.
+
+    A URDF measured by seats needs a prior: its constants are redundant, and the spread of a ball about its socket does
+    not determine scale. docs/explanation/estimation.md has the figures.
+    """
+    return np.array([UNITS[p.unit].weak_sigma for p in chain.parameters])
+
+
+def wide_prior(chain: Chain) -> Floats:
+    """Return standard deviations (p,) by unit, for hand-made mountings: 10 mm, 3° (Renders 1991, III-C), 1e-2 of a gain."""
+    return np.array([UNITS[p.unit].wide_sigma for p in chain.parameters])
+
+
+def prior_named(chain: Chain, prior: Prior) -> Floats:
+    """Return the standard deviations (p,) of a prior, inf for none; also for one where needed, which depends on the data."""
+    match prior:
+        case Prior.NONE | Prior.WHERE_NEEDED:
+            return np.full(len(chain.parameters), np.inf)
+        case Prior.WEAK:
+            return weak_prior(chain)
+        case Prior.WIDE:
+            return wide_prior(chain)
+        case _:
+            assert_never(prior)

@@ -1,7 +1,7 @@
 """Proposals for further measurements: each kind of observation proposes rows as they would be measured at the estimate.
 
 The rows need not be exactly reachable or collision-free: the rank is the same for nearly all poses, so it does not
-depend on their exact position. ``estimate.further_measurements`` tries each proposal.
+depend on their exact position. ``estimate.identifiability`` tries each proposal.
 """
 
 from __future__ import annotations

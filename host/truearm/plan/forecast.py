@@ -31,10 +31,9 @@ from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.law_fit import Learned, law_problem, posterior
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.prediction import seen_covariance
-from truearm.estimate.prior import prior_named, weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.solvers import LawMode, Prior
-from truearm.estimate.uncertainty import covariance_root
+from truearm.estimate.uncertainty import covariance_root, prior_named, weak_prior, wide_prior
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.registry import end_points
 from truearm.kinds.registry import points as points_of_rig

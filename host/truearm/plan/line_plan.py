@@ -25,9 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from truearm.errors import Argument, PlanError
 from truearm.estimate.information import of_rows
-from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import settled
-from truearm.estimate.uncertainty import tolerance_error
+from truearm.estimate.uncertainty import tolerance_error, weak_prior
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import end_and_jacobian, forward, point_forward, point_jacobians

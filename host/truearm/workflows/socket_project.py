@@ -16,7 +16,7 @@ from scipy.spatial.distance import pdist
 
 from truearm.disk import read_text, write_atomic
 from truearm.errors import Argument, InputError, PlanError
-from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import weak_prior
 from truearm.findings import Finding, entries
 from truearm.kinds.csv_cells import CsvTable, csv_text, read_cells, read_header
 from truearm.kinds.rig_file import parse_rig
