@@ -31,8 +31,8 @@ from truearm.model.chain import Chain, about, along, forward, link_frames, trace
 from truearm.model.chain_structure import Structure
 from truearm.model.joint_terms.term import NominalArm, Term
 from truearm.model.transforms import axis_of
-from truearm.record.links import Clock, Link, TcpLink
-from truearm.record.robots.text_lines import LineDialect, LinesLink
+from truearm.record.links import Clock, Link, TcpLink, UdpLink
+from truearm.record.robots.text_lines import DatagramLines, DatagramMessages, LineDialect, LinesLink
 from truearm.schema import IDENTIFIER, Entries, Key, List, Number, Table, sigma
 from truearm.session.joint_format import format_reading
 from truearm.types import Floats, Indices

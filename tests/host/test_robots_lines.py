@@ -18,10 +18,17 @@ from tests.refusals import shown
 from truearm.cli.main import main
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError, TableError
 from truearm.record.intake import MAX_LINE
-from truearm.record.links import HostClock
+from truearm.record.links import HostClock, UdpLink
 from truearm.record.robots.sources import FileOptions, open_source
-from truearm.record.robots.text_lines import OVERLONG, LineDialect, LinesLink, read_columns, readings
-from truearm.session.joint_format import parse_line
+from truearm.record.robots.text_lines import (
+    OVERLONG,
+    DatagramMessages,
+    LineDialect,
+    LinesLink,
+    read_columns,
+    readings,
+)
+from truearm.session.joint_format import format_reading, parse_line
 from truearm.session.session_file import open_session
 
 PATIENCE_S = 5.0  # only a broken link waits so long
@@ -423,3 +430,33 @@ class TestTable:
             list(readings(path, NO_OPTIONS))
         assert str(failure.value).startswith(str(path))
         assert "\n" not in str(failure.value)
+
+
+class Bytes(LineDialect):
+    """Two bytes are the joints of a reading, in degrees."""
+
+    def line(self, line):
+        return (
+            format_reading(1.0, None, [math.radians(angle) for angle in line])
+            if len(line) == 2
+            else line.hex().encode()
+        )
+
+
+def test_a_datagram_of_bytes_reaches_its_dialect_whole():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        robot.bind(("127.0.0.1", 0))
+        to = robot.getsockname()
+    link = DatagramMessages(UdpLink(f"udp://127.0.0.1:{to[1]}", HostClock()), HostClock(), Bytes({}))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        for message in (b"\n\x1e", b"\n\n\n", b"\x1e\n"):
+            robot.sendto(message, to)
+    lines = []
+    while len(lines) < 3:
+        lines += [line for _, line in link.read(PATIENCE_S)]
+    link.close()
+    assert [parse_line(line).q if b"{" in line else line for line in lines] == [
+        pytest.approx([math.radians(10), math.radians(30)]),
+        b"0a0a0a\n",
+        pytest.approx([math.radians(30), math.radians(10)]),
+    ]

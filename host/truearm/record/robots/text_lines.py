@@ -374,7 +374,10 @@ class LinesLink(LinkOnTop):
 
     def _lines(self, t_host_ns: int, data: bytes) -> list[bytes]:
         """Return the lines that ``data``, which arrived at ``t_host_ns``, completes."""
-        return [self._line(*run) + b"\n" for run in self.runs.push(data)]
+        return [self._line(*run) + b"\n" for run in self._runs(data)]
+
+    def _runs(self, data: bytes) -> list[tuple[bool, bytes]]:
+        return self.runs.push(data)
 
     def _line(self, is_whole: bool, line: bytes) -> bytes:
         joined, self._joined = self._joined, False
@@ -417,6 +420,13 @@ class DatagramLines(LinesLink):
                 )
             self._robot, self._reading_ns = data.sender, t_host_ns
         return lines
+
+
+class DatagramMessages(DatagramLines):
+    """The same of a robot that sends bytes: its dialect is given each datagram whole."""
+
+    def _runs(self, data: bytes) -> list[tuple[bool, bytes]]:
+        return [(True, data.removesuffix(b"\n"))]  # the link's
 
 
 def connect(url: str, clock: Clock, last: Link | None) -> Link:
