@@ -1,6 +1,7 @@
 """All commands and Python blocks in the documentation run as written, page by page."""
 
 import ast
+import importlib
 import json
 import re
 import shlex
@@ -103,6 +104,19 @@ def test_what_is_not_run_names_tests_that_exist():
     for page, why in reasons:
         for path in re.findall(r"tests/[\w/.]*\w", why):
             assert (ROOT / path).exists(), f"{page.name}: {path}"
+
+
+def test_formulas_name_functions_and_tests_that_exist():
+    page = (ROOT / "docs" / "explanation" / "hypotheses.md").read_text(encoding="utf-8")
+    table = page[page.index("| formula | function | test |") :]
+    functions = re.findall(r"`([a-z_]+)\.([a-z_]+)`", table)
+    tests = re.findall(r"`(test_\w+)`", table)
+    assert min(len(functions), len(tests)) >= 15
+    for module, name in functions:
+        assert hasattr(importlib.import_module(f"truearm.checks.{module}"), name), f"{module}.{name}"
+    sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests" / "host").glob("test_*.py"))
+    for name in tests:
+        assert f"def {name}(" in sources, name
 
 
 def test_every_form_of_a_fault_is_explained():

@@ -215,7 +215,7 @@ def add_item(out: Catalogue, cause: Cause) -> None:
     """Add an item of the rig, the base or the tool in the forms that its kind declares, and its drift."""
     fit, fault = out.fit, cause.fault
     columns, units = fit.by_numbers(cause.numbers)
-    if fault.moved or not (out.every or rows_used(columns, fit).size >= 2 * LEAST_ROWS):
+    if cause.is_joint or not (out.every or rows_used(columns, fit).size >= 2 * LEAST_ROWS):
         return  # joints have functions of their own
     if is_constant(cause, fit):
         out.add(cause.name, "offset", columns, units, out.always)
@@ -249,7 +249,7 @@ def add_joints(out: Catalogue) -> None:
     """Add a joint whose encoder jumps, that drifts, has play, had not settled, or has an eccentric code wheel."""
     fit = out.fit
     q = fit.measured.table.q[fit.measured.row]
-    joints = [cause.name for cause in fit.causes if cause.fault.moved]
+    joints = [cause.name for cause in fit.causes if cause.is_joint]
     for number, name in enumerate(joints):
         columns, units = fit.by_numbers([name])
         reading = q[:, number][fit.row]
@@ -334,6 +334,6 @@ def rows_used(columns: Floats, fit: WhitenedFit) -> Indices:
 
 def kind_of(item: str, fit: WhitenedFit) -> str:
     """Return the type of an item: "chuck" for "chuck.c1", "joint" for each joint, "arm" for the robot's parameters."""
-    if any(cause.name == item and cause.fault.moved for cause in fit.causes):
+    if any(cause.name == item and cause.is_joint for cause in fit.causes):
         return "joint"
     return "arm" if item in fit.arm else item.partition(".")[0]

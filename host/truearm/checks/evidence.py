@@ -137,7 +137,7 @@ class Weighed(NamedTuple):
 
 
 class Information(NamedTuple):
-    """CᵀC (h, c, d, d) of the candidates without what the parameters follow, and its trace (h, c, 1) before."""
+    """CᵀC (h, c, d + f, d + f) of candidates and nuisance beside the parameters; trace (h, c, 1) of the d alone before."""
 
     square: Floats
     size: Floats

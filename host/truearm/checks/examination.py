@@ -90,8 +90,7 @@ def examined(
     """Examine an estimate from ``identify`` that has ``effects`` as parameters.
 
     ``any_base``: the pose of the base is a choice of frame. Returns None for a fit without degrees of freedom, or one
-    distorted beyond GROSS. Findings that move the tool too far for an analysis of first order, such as all sockets of a
-    place where nothing else knows the scale, are none. Of more than MOST_ROWS a selection is examined.
+    distorted beyond GROSS. Of more than MOST_ROWS a selection is examined.
     """
     if estimate.chi2_freedom < 1.0:
         return None

@@ -65,7 +65,7 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Trial:
-    """A fit of an alternative that ended at x (P,): χ²/ν, ν and RMS by SI unit.
+    """A fit of an alternative that ended at x (P,): g χ²/ν with the Jacobian g of formula (13), ν, and RMS by SI unit.
 
     ``moved`` is the displacement of base or tool, and of an item of the rig with an effect, from the described place;
     ``shifted`` that of any other parameter of the robot; both in tolerances of manual mounting.
@@ -170,7 +170,7 @@ def _trial(
             problem, columns, placing = trial_problem(alternative.chain, alternative.rig, table, free, effects)
             n = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
             log_jacobian = sum(np.isfinite(table[name]).sum() * math.log(factor) for name, factor in rescaled)
-            price = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike fit in any larger unit
+            jacobian = max(math.exp(-2.0 * log_jacobian / n), 1.0)  # readings that are all alike fit in any larger unit
             solution = fit(problem, columns, problem.at(start or {}), idle_options(steps, DAMPING))
             quality = goodness_of(problem, columns, solution)
     except (ProblemError, np.linalg.LinAlgError):
@@ -182,7 +182,7 @@ def _trial(
         alternative,
         problem,
         solution.x,
-        price * quality.reduced,
+        jacobian * quality.reduced,
         quality.freedom,
         rms_of(solution.information.residual),
         float(moves[placing].max(initial=0.0)),

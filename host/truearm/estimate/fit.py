@@ -26,17 +26,17 @@ from truearm.estimate.whitened_rows import observe_robustly
 from truearm.progress import Advance, step
 from truearm.types import Floats
 
-MANY = 20_000
+THINNED_TO = 20_000  # observations, or up to twice as many
 USUAL_ITERATIONS = 8  # of a fit that converges, to estimate the remaining time
 
 
 def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options = Options()) -> Solution:  # noqa: B008 (frozen)
     """Minimise from x (P,) over x[columns]; the prior's mean is the problem's start.
 
-    Of more than MANY observations, every so manieth is fitted first, unless the start is near: this costs little, and ends
-    close to the minimum.
+    From 2 THINNED_TO observations on, a regular selection of them is fitted first, unless the start is near: this costs
+    little, and ends close to the minimum.
     """
-    stride = sum(len(group.sensor_cov) for group in problem.groups) // MANY
+    stride = sum(len(group.sensor_cov) for group in problem.groups) // THINNED_TO
     if stride > 1 and columns.any() and not options.is_near:
         thinned = (group if group.row is None else group.take(slice(None, None, stride)) for group in problem.groups)
         x = fit(replace(problem, groups=tuple(thinned)), columns, x, options._replace(on_step=None)).x

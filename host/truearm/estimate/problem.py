@@ -24,7 +24,6 @@ from truearm.estimate.circumstances import Circumstances, payloads_of
 from truearm.estimate.residual_noise import Backlash, checked_joint_cov, residual_cov
 from truearm.estimate.systematic_effects import (
     BASE,
-    JUMPED,
     MOTION,
     MOVED,
     Cause,
@@ -181,8 +180,8 @@ def _errors(
                 names_off = tuple(number.name for number in numbers[fault.numbers])
                 name = names_off[0] if len(names_off) == 1 else names_off[0].rpartition(".")[0]
                 causes[name] = Cause(name, names_off, fault)
-    turned = (Cause(name, (name,), JUMPED) for name in joints)
-    all_causes = [*causes.values(), *turned, Cause("base", tuple(name for name, _ in BASE), MOVED)]
+    of_joints = (Cause(name, (name,), MOVED, is_joint=True) for name in joints)
+    all_causes = [*causes.values(), *of_joints, Cause("base", tuple(name for name, _ in BASE), MOVED)]
     value = {number.name: number.value for number in rig}
     ends = [
         f"{name}.{group}.{label}".removeprefix(".")

@@ -31,8 +31,7 @@ from truearm.types import Floats, Indices, Mask, Payload
 # displacement.
 BASE = (("base.x", "m"), ("base.rx", "rad"), ("base.y", "m"), ("base.ry", "rad"), ("base.z", "m"), ("base.rz", "rad"))
 MOTION = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))  # of several points together
-MOVED = Fault(slice(None), constant=False)  # base or tool: a constant pose error is a parameter of the robot
-JUMPED = Fault(slice(None), constant=False, moved=True)  # a joint: its offset is a parameter of the robot
+MOVED = Fault(slice(None), constant=False)  # base, tool or joint: a constant error is a parameter of the robot
 
 
 class Errors(NamedTuple):
@@ -57,6 +56,7 @@ class Cause(NamedTuple):
     name: str
     numbers: tuple[str, ...]
     fault: Fault
+    is_joint: bool = False
 
 
 class Modelled(NamedTuple):

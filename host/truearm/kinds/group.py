@@ -40,14 +40,12 @@ class RigNumber(NamedTuple):
 class Fault(NamedTuple):
     """A way in which an item of the rig can differ from its description, in some of its numbers together.
 
-    ``constant``: by an offset in all rows; ``step``: by an offset from some row on, or to another; ``moved``: in the
-    direction of a joint's last move, or in proportion to it.
+    ``constant``: by an offset in all rows; ``step``: by an offset from some row on, or to another.
     """
 
     numbers: slice  # of the item's list
     constant: bool = True
     step: bool = True
-    moved: bool = False
 
 
 MOVED = (Fault(slice(None)),)  # all numbers of an item are its position
