@@ -346,7 +346,7 @@ class MeanError(NamedTuple):
 
 
 class Gain(StrEnum):
-    """Whether a calibration reduces the errors of poses that were not fitted (``estimate.mean_error``)."""
+    """Whether a calibration reduces the errors of poses that were not fitted (``estimate.validation``)."""
 
     BETTER = "better"
     NONE = "no better"  # not significantly better, within the scatter of the poses

@@ -10,9 +10,8 @@ from tests.host.puma_bench import CHAIN, DESIGN, FREE, RIG, ROBOT, SIGMA, TRUTH,
 
 import truearm
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.uncertainty import tolerance_error, weak_prior, wide_prior
-from truearm.estimate.validation import expected, judge
+from truearm.estimate.validation import expected, judge, mean_errors
 from truearm.kinds.table_file import concatenate
 from truearm.model.chain import point_forward
 from truearm.model.transforms import rotation

@@ -8,8 +8,8 @@ from puma_bench import CHAIN, FREE, RIG, ROBOT, SIGMA, random_table
 from ur10_bench import FOLDER
 
 import truearm
-from truearm.estimate.mean_error import gain_of, mean_changes
 from truearm.estimate.uncertainty import weak_prior
+from truearm.estimate.validation import gain_of, mean_changes
 from truearm.results import Gain, MeanChange
 from truearm.workflows.identify import write_page
 

@@ -30,7 +30,6 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import observe, of_rows
 from truearm.estimate.law_fit import covariance_with, is_of_arm, learned_scatter
 from truearm.estimate.levenberg_marquardt import Damping, Ends
-from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.outliers import (
     MOST_BAD,
     WithoutBad,
@@ -46,7 +45,7 @@ from truearm.estimate.row_errors import Judge, RowErrors, judging, left_out_erro
 from truearm.estimate.solution import Options, Solution, goodness_of, rms_of, solver_named
 from truearm.estimate.solvers import SOLVERS, Loss
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares, weak_prior
-from truearm.estimate.validation import judge_problem
+from truearm.estimate.validation import judge_problem, mean_errors
 from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain

@@ -30,7 +30,6 @@ from truearm.estimate.law_candidates import candidates, gravity_of, law_priors
 from truearm.estimate.law_choice import LawChoice, regions, supported, without_absent
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_fit import JOINT_NOISE, LawProblem, law_problem, learn, nearer_geometry, posterior, scatter_of
-from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.outliers import matter, misfit, single, within
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
@@ -38,6 +37,7 @@ from truearm.estimate.row_errors import RowErrors, row_errors
 from truearm.estimate.solution import rms_of
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.uncertainty import covariance_root, goodness
+from truearm.estimate.validation import mean_errors
 from truearm.estimate.whitened_rows import gate, only
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from truearm import results
 from truearm.estimate.law_fit import is_of_arm
-from truearm.estimate.mean_error import gain_of
 from truearm.estimate.result_file import Covariance, ParameterEstimate, Result, RobotFrames
+from truearm.estimate.validation import gain_of
 from truearm.kinds.columns import ORIGINS, identifiers
 from truearm.kinds.table import ObservationTable
 from truearm.units import MM, MRAD, UNITS, key, named, shown

@@ -8,11 +8,15 @@ How large the errors should be follows from the covariance P of the robot and of
 (docs/explanation/estimation.md). One χ² test decides. With P as the prior, the minimum sum of squares of data and
 priors is χ². Its degrees of freedom are the residuals and priors in excess of unknowns. This accounts for errors that
 rows share. Null directions have no prior. ``checks`` examines the residuals like those of any other fit.
+
+The mean error at poses that were not fitted has an interval, and is compared with that of the nominal robot
+(``mean_errors``, ``with_gain``): rows of one pose have correlated errors, so poses are counted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -20,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from truearm.estimate.circumstances import poses
 from truearm.estimate.fit import fit
 from truearm.estimate.identifiability import project_out
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
@@ -29,13 +34,17 @@ from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import MOVES, Effect
-from truearm.types import Floats, Residuals, Rigs
+from truearm.results import MOVES, Effect, Estimate, Gain, MeanChange, MeanError, Unusable
+from truearm.types import Floats, Indices, Residuals, Rigs
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 LEVEL = 0.99  # probability that a consistent session is reported as consistent
 FELT = 1e-6  # of the effect of a single parameter
 LEAST_FREEDOM = 1e-6  # share of a row's residuals that must remain for validation; rounding leaves 1e-12
+MEAN_LEVEL = 0.95  # of the interval of a mean error
+LEAST_POSES = 2
+CHANCE = 0.05  # of poses that seem to differ
+SMALLEST = 1e-9  # m, rad: rounding of exact data is less
 
 
 class Judgement(NamedTuple):
@@ -224,3 +233,71 @@ def has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDAr
     for group, share in zip(groups, np.split(hat, np.cumsum([len(rows) for rows in jac])[:-1]), strict=True):
         free[group.row] = share.reshape(len(group.sensor_cov), -1).mean(axis=1) <= 1.0 - LEAST_FREEDOM
     return free
+
+
+def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str, MeanError]:
+    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses.
+
+    The interval is that of the mean of the poses' mean errors (Student's t). Without held-out rows, each pose was left
+    out in turn (``row_errors``). Empty for fewer than two poses.
+    """
+    means = {}
+    for unit, errors in error.items():
+        (by_pose,) = pose_means(pose, errors)
+        n = by_pose.size
+        if n < LEAST_POSES:
+            continue
+        half = float(special.stdtrit(n - 1, (1.0 + MEAN_LEVEL) / 2.0) * by_pose.std(ddof=1) / np.sqrt(n))
+        mean = float(by_pose.mean())
+        means[unit] = MeanError(mean, max(mean - half, 0.0), mean + half, n, held_out)
+    return means
+
+
+def pose_means(pose: Indices, *errors: Floats) -> list[Floats]:
+    """Return the mean magnitude of each of some errors (n,) at every pose that has rows with all of them."""
+    judged = np.isfinite(errors).all(axis=0)
+    _, number, count = np.unique(pose[judged], return_inverse=True, return_counts=True)
+    return [np.bincount(number.ravel(), np.abs(error[judged])) / count for error in errors]
+
+
+def with_gain(table: ObservationTable, estimate: Estimate) -> Estimate:
+    """Return the estimate with its gain, and as not usable if it is worse than the nominal robot.
+
+    Calibrated and nominal robot, with base and tool placed, are compared pose by pose. d is the mean magnitude of a pose's
+    errors after the calibration, less that before. It is at most the distance between the two predictions, so no outlier
+    dominates. t is the mean of d in its standard errors: better is below the quantile of Student's t for CHANCE, worse
+    above that for 1 − CHANCE. With residuals in several units, a robot that is better in one of them is better.
+    Unchanged if it is not usable already, or did not converge: then its errors say nothing.
+    """
+    if estimate.unusable or estimate.status != "converged":
+        return estimate
+    changes = mean_changes(estimate.unfitted_error_before, estimate.unfitted_error, poses(table))
+    estimate = replace(estimate, mean_change=changes)
+    return replace(estimate, unusable=Unusable.WORSE) if gain_of(changes) is Gain.WORSE else estimate
+
+
+def gain_of(changes: Mapping[str, MeanChange]) -> Gain | None:
+    """Return the gain over all units: that of the best one; None if there is nothing to compare."""
+    gains = {change.gain for change in changes.values()}
+    order = (Gain.BETTER, Gain.WORSE, Gain.NONE)
+    return next((gain for gain in order if gain in gains), None)
+
+
+def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[str, MeanChange]:
+    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses."""
+    changes = {}
+    for unit in before:
+        nominal, calibrated = pose_means(pose, before[unit], after[unit])
+        if nominal.size >= LEAST_POSES:
+            gain = _gain(calibrated - nominal)
+            changes[unit] = MeanChange(float(nominal.mean()), float(calibrated.mean()), nominal.size, gain)
+    return changes
+
+
+def _gain(change: Floats) -> Gain:
+    """Return the gain for the changes (n,) of the poses' mean errors."""
+    standard_error = float(change.std(ddof=1)) / np.sqrt(change.size)
+    threshold = float(special.stdtrit(change.size - 1, 1.0 - CHANCE)) * standard_error
+    if change.mean() < -threshold:
+        return Gain.BETTER
+    return Gain.WORSE if change.mean() > max(threshold, SMALLEST) else Gain.NONE

@@ -24,7 +24,6 @@ from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, WithLaws, is_of_joint, with_joint_laws, without_outliers
 from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
-from truearm.estimate.mean_error import with_gain
 from truearm.estimate.prediction import predicted_point_error, with_scatter_at_tool
 from truearm.estimate.problem import build_problem
 from truearm.estimate.result_document import copies_of, result_of
@@ -33,6 +32,7 @@ from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.estimate.uncertainty import prior_named
+from truearm.estimate.validation import with_gain
 from truearm.findings import entries
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable

@@ -14,9 +14,9 @@ import numpy as np
 
 from truearm.disk import sha256, write_atomic
 from truearm.errors import Argument, InputError, noting
-from truearm.estimate.mean_error import gain_of
 from truearm.estimate.prediction import nominal_error, predicted_point_error
 from truearm.estimate.result_file import Input, Result, read_result
+from truearm.estimate.validation import gain_of
 from truearm.findings import Finding, entries, findings_of
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
