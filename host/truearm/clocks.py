@@ -320,7 +320,10 @@ def _consistent_runs(rows: Band) -> list[NDArray[np.intp]]:
 def _joined(
     rows: Band, range_before: tuple[float, float, float], row: tuple[float, float, float]
 ) -> tuple[float, float, float] | None:
-    """Return the range (x, low, high) that a row leaves of one before it; None if they contradict each other."""
+    """Return a row's range (x, low, high) within ``range_before``, carried on to its x at the slowest and fastest rate.
+
+    None if the two do not meet.
+    """
     (x_before, lowest, highest), (x, low, high) = range_before, row
     lowest, highest = lowest + rows.slow * (x - x_before), highest + rows.fast * (x - x_before)
     is_contradiction = low > highest + ROUNDING_NS or high < lowest - ROUNDING_NS

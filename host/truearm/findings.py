@@ -148,23 +148,24 @@ class _Words(Formatter):
         return option(name) if reference.startswith("@@") else self._argument(name)
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        kind, choice = format_spec[:1], format_spec[1:].partition("|")
+        """Format a value by the mark that ``worded`` describes; a mark precedes the type of the value."""
+        mark, choice = format_spec[:1], format_spec[1:].partition("|")
         count = len(value) if isinstance(value, list | tuple) else value
-        if kind == "!":
+        if mark == "!":
             return ""
         if isinstance(value, Argument):
             return self._argument(value)
-        if kind == "#":
+        if mark == "#":
             return counted(count, choice[0], choice[2])
-        if kind == "?":
+        if mark == "?":
             return choice[0] if count == 1 else choice[2]
         if isinstance(value, Mapping):
             return " and ".join(_quantity(number, suffix, format_spec) for suffix, number in value.items())
-        if format_spec.startswith("@"):
+        if mark == "@":
             return " ".join(f"{self._named(format_spec)} {shlex.quote(one_line(text))}" for text in value)
         if isinstance(value, list | tuple):
             texts = [one_line(str(text)) for text in value]
-            return "; ".join(texts) if kind == ";" else listed(texts, int(format_spec or MOST))
+            return "; ".join(texts) if mark == ";" else listed(texts, int(format_spec or MOST))
         if value is None:
             return "-"
         return one_line(value) if isinstance(value, str) else format(value, format_spec)

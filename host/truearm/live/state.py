@@ -159,7 +159,7 @@ def parse_mounted(text: str) -> dict[str, str]:
 
 
 def check_mounted(mounting: Mapping[str, str], rig: Rig) -> None:
-    """Raise InputError for a part that the rig does not have; a rig without lines accepts any."""
+    """Raise InputError for a part that the rig does not have; any line is accepted if the rig lists none."""
     for key, names in rig.mounted().items():
         if key in mounting and (names or key in BAR_MOUNTED) and mounting[key] not in names:
             where, name = Argument("mounted"), mounting[key][:40]

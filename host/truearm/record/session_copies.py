@@ -80,7 +80,7 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
                 ends[topic] = max(ends[topic], int(numbers.max(initial=-1)) + 1)
             first_ns = int(messages.t_host_ns.min(initial=first_ns))
             last_ns = int(messages.t_host_ns.max(initial=last_ns))
-            for k, message in enumerate(messages.of(np.arange(len(messages)))):
+            for k, message in enumerate(messages.one_by_one(np.arange(len(messages)))):
                 writer.add(*message, int(messages.sequence[k]))
             box.feed(messages)
         box.finish()

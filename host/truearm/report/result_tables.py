@@ -103,7 +103,8 @@ def errors_of_fit(document: Document, suffix: str) -> Table:
     key_before, key_after, key_held_out = (f"rms_{state}_{suffix}" for state in ("before", "after", "held_out"))
     entries = [entry for entry in document["observations"] if entry[key_after] is not None]
     says_nothing = has_little_freedom(document)
-    fitted = [("fitted, RMS", {**document, "fitted": sum(entry["fitted"] for entry in entries)})] if entries else []
+    everything = {**document, "fitted": sum(entry["fitted"] for entry in entries)}  # has the keys of a kind's entry
+    fitted = [("fitted, RMS", everything)] if entries else []
     kinds_shown = document["observations"] if len(document["observations"]) > 1 else []
     fitted += [(f"  {_kind_of(entry)}", entry) for entry in kinds_shown if entry in entries]
     rows: list[ErrorRow] = [
@@ -113,7 +114,7 @@ def errors_of_fit(document: Document, suffix: str) -> Table:
     held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
     if n := held_out.get(f"n_{suffix}"):
         for figure, words in (("rms", "RMS"), ("mean", "mean"), ("max", "largest")):
-            errors = [errors.get(f"{figure}_{suffix}") for errors in (held_out_before, held_out)]
+            errors = [state.get(f"{figure}_{suffix}") for state in (held_out_before, held_out)]
             rows.append((f"held out, {words}", errors, n))
         judged = [entry for entry in kinds_shown if entry.get(key_held_out) is not None]
         rows += [(f"  {_kind_of(entry)}, RMS", (None, entry[key_held_out]), entry["held_out"]) for entry in judged]

@@ -82,6 +82,7 @@ MOST_SEGMENTS = 1000  # a controller does not restart more often: its times are 
 LATE_S = 1.0  # a smaller step back in time is a datagram overtaken by another, a larger one a restart
 FINEST_STEP = 1e-9  # rad or m; smaller differences are rounding errors, not an encoder
 COARSEST_STEP = 1e-3  # rad or m; upper limit for an encoder worth calibrating
+NO_SPAN = (0, 0.0, 0.0)  # the bins' joints are loaded by number, never by time
 
 
 class BinJoints(NamedTuple):
@@ -110,10 +111,10 @@ class Bins:
         self._times, self._begins, self._joints = list[BinTimes](), [0], Spool()
 
     def append(self, times: BinTimes, joints: BinJoints) -> None:
-        """Add bins."""
+        """Add bins, before ``times`` is read."""
         self._times.append(times)
         self._begins.append(len(self) + len(times.n))
-        self._joints.append(joints, (0, 0.0, 0.0))
+        self._joints.append(joints, NO_SPAN)
 
     def __len__(self) -> int:
         return self._begins[-1]

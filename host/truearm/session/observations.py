@@ -112,7 +112,7 @@ def survey(source: Source, ident: Ident | None = None, wander: float = WANDER) -
     box, robot, marks = BoxReader(ident), JointReader(), Marks()
     samples = {name: tuple(map(ChannelSamples, kind.channels)) for name, kind in registry.kinds().items()}
     for messages, blocks in read_blocks(source, box):
-        for message in messages.of(messages.rows(lambda topic: topic in ("/plan", "/events"))):
+        for message in messages.one_by_one(messages.rows(lambda topic: topic in ("/plan", "/events"))):
             marks.feed(message.topic, message.t_host_ns, message.data)
         robot.keeps = robot.keeps or marks.names_lines
         robot.take(messages)

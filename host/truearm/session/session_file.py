@@ -198,8 +198,8 @@ class Messages:
         columns = ("topic", "t_host_ns", "begin", "end", "sequence", "log_ns")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
-    def of(self, rows: NDArray[np.intp]) -> Iterator[Message]:
-        """Return a selection of the messages."""
+    def one_by_one(self, rows: NDArray[np.intp]) -> Iterator[Message]:
+        """Yield a selection of the messages, each with its payload."""
         columns = (column[rows].tolist() for column in (self.topic, self.t_host_ns, self.begin, self.end))
         for topic, t_host_ns, begin, end in zip(*columns, strict=True):
             yield Message(self.topics[topic], t_host_ns, self.data[begin:end])
@@ -321,7 +321,7 @@ class Session:
         """
         chosen = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
         for messages in self.batches():
-            yield from messages.of(messages.rows(lambda topic: chosen is None or topic in chosen))
+            yield from messages.one_by_one(messages.rows(lambda topic: chosen is None or topic in chosen))
 
     def batches(self) -> Iterator[Messages]:
         """Yield all messages as columns, some megabytes at a time, in the order of writing.

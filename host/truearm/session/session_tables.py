@@ -85,7 +85,7 @@ def _small_tables(messages: Messages, messages_before: int, survey: Survey) -> I
     rows = messages.rows(lambda topic: topic in _SMALL)
     segments = segment_at(survey.segments, rows + messages_before).tolist()
     tables: dict[str, list[dict[str, Any]]] = {}
-    for segment, message in zip(segments, messages.of(rows), strict=True):
+    for segment, message in zip(segments, messages.one_by_one(rows), strict=True):
         row: dict[str, Any] = {"arrival_ns": message.t_host_ns}
         if message.topic == "/events":
             event = read_mark(message.topic, message.data)

@@ -4,10 +4,10 @@
 
 p_k are the origins of the frames of further joints and of the end. The sum is the torque of unit masses there. s_ik is
 joint i's compliance times the mass at p_k [rad per kg·m, with g of length 1]. The parameter of (i, k) has ``basis`` (k,
-gx, gy, gz). Here k is the frame (j, the number of joints, stands for the end), and g the direction of gravity in the
-base frame.
+gx, gy, gz), where g is the direction of gravity in the base frame.
 
-k = j + 1 is the centre of the chain's payload, whose mass is known: its parameter is the joint's compliance alone.
+k counts frames: 0 to n − 1 are those of the n joints, n is the end, and n + 1 is the centre of the chain's payload. The
+mass of the payload is known, so that the parameter of (i, n + 1) is the compliance of joint i alone.
 
 Like a curve, a sag has no key in a robot file: ``model.law_chain`` adds it to a chain.
 """
