@@ -266,8 +266,8 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     for column, rig_names in registry.rig_names(rig).items():
         if unknown := {*table[column].tolist()} - {"", *rig_names}:
             i = np.flatnonzero(np.isin(table[column], [*unknown]))[0]
-            values = {"what": column, "name": table[column][i], "names": sorted(rig_names)}
-            raise TableError("not-in-rig", place=table.source[i], **values)
+            where, name = table.source[i], table[column][i]
+            raise TableError("not-in-rig", place=where, what=column, name=name, names=sorted(rig_names))
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)
         nameless = np.flatnonzero(rows & (table[kind.point] == "")) if len(points) > 1 else np.zeros(0, int)
