@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from truearm.additions import plug_in_error
 from truearm.disk import check_writable, system_reason, write_atomic
 from truearm.errors import Argument, ExitCode, InputError, TruearmError
 from truearm.kinds.csv_cells import csv_text
@@ -90,6 +91,10 @@ def identified_arm(home: Path, options: FleetOptions) -> Arm:
         return replace(row, code=exc.exit_code, verdict=str(exc))
     except OSError as exc:
         return replace(row, code=ExitCode.FAILED, verdict=f"{exc.filename}: {system_reason(exc)}")
+    except Exception as exc:
+        if (error := plug_in_error(exc)) is None:
+            raise
+        return replace(row, code=error.exit_code, verdict=str(error))
     return row
 
 
