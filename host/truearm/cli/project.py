@@ -61,7 +61,7 @@ MEANINGS = {
 EXPERT = "Expert options"
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut
 RESULT_TAKEN = "truearm.result"  # in a context: the project's result, set before the files that were typed
-# kinds of file that a parameter takes (``file_kind``)
+# kinds of file that a parameter takes (``disk.KINDS``)
 TAKES = {
     "session": ("session",),
     "inputs": ("session", "table"),

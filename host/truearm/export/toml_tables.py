@@ -11,7 +11,7 @@ manufacturers do.
 
 Nearly parallel axes have a distant normal, hundreds of metres for an arm as built, and such d of successive rows
 cancel. Each row begins at the frame that the rows before it give in floating point, so the rows predict the arm to
-1e-15 of the largest d. With ``hayati``, nearly parallel rows have Hayati's β and d = 0 instead (``model.conventions``).
+1e-15 of the largest d. With ``hayati``, nearly parallel rows have Hayati's β and d = 0 instead (``model.robot_tables``).
 Exactly parallel axes have d = 0.
 """
 

@@ -98,23 +98,20 @@ class BarSigma(NamedTuple):
     sigma: float
 
 
-def _checked_noise(noise: NoiseFile) -> NoiseFile:
-    """Check that backlash and its sigmas are given together, one of each for every joint of the covariance."""
+def _noise(bars: Mapping[str, BarSigma] | None = None, **values: Any) -> NoiseFile:
+    """Raise SchemaError unless backlash and its sigmas are given together, one of each for every joint of the covariance."""
+    noise = NoiseFile(bar_sigma={name: bar.sigma for name, bar in (bars or {}).items()}, **values)
     cov, width, width_sigma = noise.joint_cov, noise.backlash, noise.backlash_sigma
     if (width or width_sigma) and not cov:
         raise SchemaError("backlash_si needs joint_sigma_rad or joint_cov_si, which must include half of it")
-    for key, values in zip(BACKLASH, (width, width_sigma), strict=True):
-        if (width or width_sigma) and len(values) != len(cov):
+    for key, widths in zip(BACKLASH, (width, width_sigma), strict=True):
+        if (width or width_sigma) and len(widths) != len(cov):
             joints = f"{len(cov)} value{'s' * (len(cov) != 1)}"
-            raise SchemaError(f"{key.name}: needs a list of {joints}, one per joint, has {len(values)}")
+            raise SchemaError(f"{key.name}: needs a list of {joints}, one per joint, has {len(widths)}")
     for j, b in enumerate(width):
         if 0.25 * b**2 > cov[j][j] * (1.0 + 1e-9):
             raise SchemaError(f"joint {j + 1} has a sigma below half its backlash; the sigma must include the backlash")
     return noise
-
-
-def _noise(bars: Mapping[str, BarSigma] | None = None, **values: Any) -> NoiseFile:
-    return _checked_noise(NoiseFile(bar_sigma={name: bar.sigma for name, bar in (bars or {}).items()}, **values))
 
 
 def _noise_values(noise: NoiseFile) -> dict[str, Any]:

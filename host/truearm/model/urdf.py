@@ -80,20 +80,16 @@ def capsules_from_urdf(text: str, chain: Chain) -> Capsules | None:
         for link, number, frame in zip([path[0].parent, *(step.child for step in path)], joint, pose, strict=True)
         for node in shapes[link]
     ]
-    sized = [(number, frame, capsule) for number, frame, capsule in capsules if capsule is not None]
+    sized = [(number, frame, *capsule) for number, frame, capsule in capsules if capsule is not None]
     if not sized or len(sized) < len(capsules):
         return None
-    ends = [capsule.ends @ frame[:3, :3].T + frame[:3, 3] for _, frame, capsule in sized]
-    return Capsules(tuple(number for number, *_ in sized), np.array(ends), np.array([c.radius for *_, c in sized]))
+    joints, _, _, radii = zip(*sized, strict=True)
+    ends = [ends @ frame[:3, :3].T + frame[:3, 3] for _, frame, ends, _ in sized]
+    return Capsules(joints, np.array(ends), np.array(radii))
 
 
-class _Capsule(NamedTuple):
-    ends: Floats  # (2, 3) m
-    radius: float  # m
-
-
-def _capsule(place: str, node: Xml) -> _Capsule | None:
-    """Return the capsule around a box, cylinder or sphere, in the link's frame; None for a mesh."""
+def _capsule(place: str, node: Xml) -> tuple[Floats, float] | None:
+    """Return ends (2, 3) and radius [m] of a capsule around a box, cylinder or sphere, in the link's frame; None for a mesh."""
     shape = next((child for tag in ("box", "cylinder", "sphere") for child in node.findall(f"geometry/{tag}")), None)
     if shape is None:
         return None
@@ -113,7 +109,7 @@ def _capsule(place: str, node: Xml) -> _Capsule | None:
         reach = 0.5 * size("length")[0] if shape.tag == "cylinder" else 0.0
     frame = _transform(_origin(place, node))
     along = reach * frame[:3, axis]
-    return _Capsule(np.array([frame[:3, 3] - along, frame[:3, 3] + along]), radius)
+    return np.array([frame[:3, 3] - along, frame[:3, 3] + along]), radius
 
 
 def _transform(origin: Sequence[float]) -> Floats:

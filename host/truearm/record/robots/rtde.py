@@ -46,7 +46,7 @@ from truearm.session.joint_format import MAX_T_S, format_reading
 # S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND.
 
 VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
-BROKEN = 256  # not a type: data where a packed should begin
+BROKEN = 256  # not a type: data where a package should begin
 NOT_FOUND = "NOT_FOUND"
 
 TYPES = {  # a vector is a list
@@ -68,7 +68,7 @@ Value = Any  # a number, or a list of them
 
 
 def packed(kind: int, payload: bytes = b"") -> bytes:
-    """Return a packed as bytes; the payload must fit (65532 bytes)."""
+    """Return a package as bytes; the payload must fit (65532 bytes)."""
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
@@ -110,14 +110,14 @@ class Packages:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Layout of a data packed: the number of the recipe, then the fields; ``places`` are those of their values."""
+    """Layout of a data package: the number of the recipe, then the fields; ``places`` are those of their values."""
 
     number: int
     layout: struct.Struct
     places: Mapping[str, int | slice]
 
     def values(self, payload: bytes) -> dict[str, Value] | None:
-        """Return the values of a data packed by name, vectors as lists; None if it does not match this recipe."""
+        """Return the values of a data package by name, vectors as lists; None if it does not match this recipe."""
         if len(payload) != self.layout.size or payload[0] != self.number:
             return None
         _, *values = self.layout.unpack(payload)
