@@ -21,7 +21,7 @@ from ur10_bench import ROBOT as UR10
 import truearm
 from truearm.checks.alternatives import mirrored, units
 from truearm.checks.inputs import checked_inputs, explaining, explanations_of
-from truearm.checks.trial import Alternative, evidence, fitted
+from truearm.checks.trial import Alternative, fitted, log_evidence
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward
@@ -457,9 +457,9 @@ def test_the_evidence_of_a_change_of_units_has_its_jacobian():
     assert thousandth.reduced == pytest.approx(1e6 * one.reduced)
     assert thousandfold.reduced == pytest.approx(one.reduced)
     nearer = replace(one, moved=0.0, shifted=0.0)
-    assert evidence(one, nearer) - evidence(one, one) == pytest.approx(0.5 * one.displacement**2)
+    assert log_evidence(one, nearer) - log_evidence(one, one) == pytest.approx(0.5 * one.displacement**2)
     better = replace(nearer, reduced=0.5 * one.reduced)
-    assert evidence(one, better) == pytest.approx(0.5 * one.freedom * np.log(2.0))
+    assert log_evidence(one, better) == pytest.approx(0.5 * one.freedom * np.log(2.0))
 
 
 TABLE = Rig(targets=devices.TARGETS, planes={"table": Plane("table", (0.4, 0.0, 0.3), (0.0, 0.0, 1.0), sigma=3e-5)})

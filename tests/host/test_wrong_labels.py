@@ -22,7 +22,7 @@ from puma_bench import (
 )
 
 from truearm.checks.inputs import checked_inputs
-from truearm.checks.labels import APART, PRICE, best_labels, likelihood, relabelled
+from truearm.checks.labels import APART, PRICE, best_labels, relabelled, robust_likelihood
 from truearm.checks.trial import LEVEL, Alternative
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.kinds.table import ObservationTable
@@ -64,11 +64,11 @@ def test_right_labels_gain_nothing_on_average(d):
     noise = np.random.default_rng(d).normal(size=(100_000, d))
     square = (noise**2).sum(axis=1)
     scale = 1.4826 * float(np.sqrt(np.median(square)))
-    own = likelihood(square, scale)
+    own = robust_likelihood(square, scale)
     for away in np.linspace(0.5, 12.0, 24):
-        other = likelihood(((noise - away * np.eye(d)[0]) ** 2).sum(axis=1), scale)
+        other = robust_likelihood(((noise - away * np.eye(d)[0]) ** 2).sum(axis=1), scale)
         assert np.exp(other - own).mean() < 1.0
-    assert np.exp(likelihood(np.array(APART**2), 1.0) - own).mean() == pytest.approx(0.035, abs=0.01)
+    assert np.exp(robust_likelihood(np.array(APART**2), 1.0) - own).mean() == pytest.approx(0.035, abs=0.01)
 
 
 def test_runs_are_relabelled_if_chance_hardly_gives_them():

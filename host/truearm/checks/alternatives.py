@@ -1,7 +1,7 @@
 """Interpretations of table and rig other than the given one: the usual mistakes in a lab.
 
 Each is an ``Alternative``: the table or rig transformed, and the finding to report if it explains the observations
-(``inputs``). A new one is a function that yields it, in ``tiers``.
+(``inputs``). A new one is a function that yields it, in ``other_interpretations``.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ Robots = Mapping[str, tuple[Chain, Mask]]  # with their free parameters (p,), by
 
 
 def other_interpretations(inputs: Alternative, robots: Robots, allowed: Collection[str] = ()) -> list[Alternative]:
-    """Return all interpretations that differ by one mistake, the most common first; items that are ``allowed`` to be off are
-    estimated.
+    """Return all interpretations that differ by one mistake, the most common first.
+
+    An item that is ``allowed`` to be off is no mistake: the fit has estimated it.
     """
     return [
         *stuck(inputs),

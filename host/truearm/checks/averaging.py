@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, islice
@@ -63,13 +63,13 @@ class Average:
 
     @cached_property
     def steps(self) -> list[list[Floats]]:
-        """The steps (k,) of each finding: of its explanations, and their mean."""
+        """For each finding, the steps (k,) of its explanations in order, and last their mean weighted by probability."""
         steps = [[choice.step for choice in choices] for choices in self.choices]
         weights = ([choice.weight for choice in choices] for choices in self.choices)
         return [[*shifts, np.array(weight) @ shifts] for shifts, weight in zip(steps, weights, strict=True)]
 
     def moves(self, root: Floats) -> float:
-        """Return the RMS motion [m] of the tool by a step (k,), or its RMS error by a ``root`` (k, r) of that of parameters."""
+        """Return the tool's RMS motion [m] by a step (k,), or RMS error by a ``root`` (k, r) of the parameters'."""
         return math.sqrt(max(float(np.sum(root * (self.gram @ root))), 0.0))
 
     def of_rivals(self) -> Floats:
@@ -109,7 +109,7 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
     def tool(matrix: Floats) -> float:
         return float(np.trace(gram @ matrix))
 
-    fitted, kernel = result.fitted, result.design.kernel
+    fitted, kernel = result.as_fitted, result.design.kernel
     if not kernel.declared:
         m = fitted.fit.residual.size
         noise = kernel.spread(fitted.basis[:m]) * np.sqrt(result.design.variance)
@@ -118,16 +118,15 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
         if not kernel.shared:
             by_prior, variance = covariance @ fitted.fit.prior[:, :-1].T, kernel.scale**2 * result.design.variance
             of_all = variance * covariance + (1.0 - variance) * by_prior @ by_prior.T
-            learned = min(
-                (learned, of_all), key=tool
-            )  # both are too large if there is scatter of the arm, or more rows
+            # Both are too large if there is scatter of the arm, or more rows.
+            learned = min((learned, of_all), key=tool)
         covariance = max((covariance, learned), key=tool)
     unnamed = [np.zeros((len(gram), 0))]
     for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
         if weight > LEAST_WEIGHT:
-            choice = explanation(weighed, float(weight), result.design, result.response @ weighed.columns)
+            choice = choice_of(weighed, float(weight), result.design, result.response @ weighed.columns)
             unnamed.append(math.sqrt(weight) * np.column_stack([choice.step, choice.root]))
-    choices = tuple(explanations(detection, result) for detection in result.detections)
+    choices = tuple(choices_of_finding(detection, result) for detection in result.detections)
     return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices, kernel)
 
 
@@ -145,13 +144,14 @@ def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
 
-def explanation(
+def choice_of(
     weighed: Weighed, weight: float, design: Design, loading: Floats, is_named: bool = False, scale: float | None = None
 ) -> Choice:
-    """Return what the best candidate does to the parameters by their ``loading`` (k, d); its size is that of the ``design``.
+    """Return what the best candidate does to the parameters by their ``loading`` (k, d).
 
-    Its prior has a ``scale``, or the most probable one. In directions that the rows do not show, a finding is as large as in those that they do, beside one typical size. Of
-    so few directions that is Student's t: twice the stated deviation covers as often as that of a normal distribution.
+    Its size is that of the ``design``, with a prior of a ``scale``, or the most probable one. A finding (``is_named``) is
+    as large in directions that the rows do not show as in those that they do, beside one typical size. Of so few
+    directions that is Student's t: twice the stated deviation covers as often as that of a normal distribution.
     """
     most_probable = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
     size, root, hidden = amount_of(weighed, design.variance, scale or most_probable, is_named)
@@ -162,9 +162,9 @@ def explanation(
     return Choice(weighed, weight, size, -loading @ size, loading @ root)
 
 
-def explanations(detection: Detection, result: Search) -> tuple[Choice, ...]:
-    """Return the finding and its rivals by their probability, beside all other findings and but for those that were refused."""
-    design = result.bare.extended(result.beside(detection))
+def choices_of_finding(detection: Detection, result: Search) -> tuple[Choice, ...]:
+    """Return the finding and its rivals by their probability beside all other findings, without those that were refused."""
+    design = result.without_findings.extended(result.beside(detection))
     rivals = (rival for rival in detection.rivals if rival.name not in result.refused)
     options = [weigh([weighed.hypothesis], design)[0] for weighed in (detection.best, *rivals)]
     threshold = max(weighed.log_evidence for weighed in options) - RIVAL
@@ -178,18 +178,18 @@ def choices_of(
     """Return explanations of which one is true, with their probabilities."""
     log = np.array([weighed.log_evidence for weighed in options])
     triples = zip(options, np.exp(log - special.logsumexp(log)).tolist(), loadings, strict=True)
-    return tuple(explanation(weighed, weight, design, loading, True, scale) for weighed, weight, loading in triples)
+    return tuple(choice_of(weighed, weight, design, loading, True, scale) for weighed, weight, loading in triples)
 
 
 class AllRows(NamedTuple):
     """All rows of a fit that ended at x (P,), of which some were examined.
 
-    ``blocks`` are their whitened rows at an x, ``columns`` (P,) the k fitted parameters, ``move`` adds a step to them.
+    ``blocks`` are their whitened rows at an x, ``free`` (P,) the k fitted parameters, ``move`` adds a step to them.
     ``pulled``: the fit has a robust loss.
     """
 
     x: Floats
-    columns: Mask
+    free: Mask
     move: Callable[[Floats, Floats], Floats]
     measured: Measured
     pulled: bool
@@ -204,29 +204,34 @@ class AllRows(NamedTuple):
         courses = np.zeros((self.measured.total, len(choices)))
         for number, choice in enumerate(choices):
             courses[self.measured.row, number] = choice.weighed.hypothesis.course(choice.weighed.best, self.measured)
+
+        def by_finding(values: Iterable[Floats]) -> list[list[Floats]]:
+            in_turn = iter(values)
+            return [[*islice(in_turn, len(members))] for members in average.choices]
+
         for _ in range(LINEARISATIONS):
-            fit, columns, count = folded(self.blocks(x), choices, courses, 0)
-            pulled, by, _ = folded(self.blocks(x), choices, courses, 1) if self.pulled else (fit, columns, count)
+            fit, columns, count = folded_blocks(self.blocks(x), choices, courses, 0)
+            pulled, pulled_columns = fit, columns
+            if self.pulled:
+                pulled, pulled_columns, _ = folded_blocks(self.blocks(x), choices, courses, 1)
             design = build_design(fit, replace(average.kernel, shared=()), fit.wide_prior)
             design = replace(design, freedom=design.freedom + count - fit.residual.size)
             fitted = build_design(pulled, DECLARED, pulled.prior)
-            loadings = iter([fitted.root @ (fitted.basis[: len(column)].T @ column) for column in by])
-            in_turn = iter(columns)
-            by_finding = [[next(in_turn) for _ in choices] for choices in average.choices]
-            by_all = replace(average, choices=reweighed(average, design, by_finding, loadings))
+            loadings = [fitted.root @ (fitted.basis[: len(column)].T @ column) for column in pulled_columns]
+            by_all = replace(average, choices=reweighed(average, design, by_finding(columns), by_finding(loadings)))
             step = fitted.root @ (fitted.basis.T @ np.append(pulled.residual, pulled.prior[:, -1]))
-            x[self.columns] = self.move(x[self.columns], step + step_of(by_all))
-        with_first = design.extended(np.concatenate([columns[0] for columns in by_finding], axis=1))
+            x[self.free] = self.move(x[self.free], step + step_of(by_all))
+        with_first = design.extended(np.concatenate([members[0] for members in by_finding(columns)], axis=1))
         return x, by_all, with_first.chi2 * average.kernel.scale**2 / max(with_first.freedom, 1.0)
 
 
-def folded(
+def folded_blocks(
     blocks: Iterable[WhitenedFit], choices: Sequence[Choice], courses: Floats, power: int
 ) -> tuple[WhitenedFit, list[Floats], int]:
-    """Return rows of a fit, and in them the columns (·, d) of choices, with the products of all blocks; and how many all are.
+    """Return a few rows with the products of all blocks, the columns (·, d) of choices in them, and how many rows all have.
 
-    ``courses`` (N, c) of the table's rows are the profiles of the choices. Rows where one is NaN are left out. ``power``: of
-    the pull.
+    ``courses`` (N, c) are the profiles of the choices over the table's rows; rows where one is NaN are left out. Rows
+    are multiplied by their pull to a ``power``. Beside them, the fit has the priors of the blocks.
     """
     size, count, triangle = [choice.size.size for choice in choices], 0, np.zeros((0, 0))
     for block in blocks:
@@ -242,18 +247,19 @@ def folded(
     jac, *by_choice, residual = np.split(triangle, np.cumsum([block.jac.shape[1], *size]), axis=1)
     first = np.zeros(len(triangle), dtype=np.intp)
     fit = replace(block, row=first, component=first, jac=jac, residual=residual[:, 0], pull=np.ones(len(triangle)))
+    fit = replace(fit, fault_jac=np.zeros((len(triangle), 0)), kind_faults=(), axes=np.zeros((0, 3, 3)))
     return fit, by_choice, count
 
 
 def reweighed(
-    average: Average, design: Design, columns: Sequence[Sequence[Floats]], loadings: Iterator[Floats]
+    average: Average, design: Design, columns: Sequence[Sequence[Floats]], loadings: Sequence[Sequence[Floats]]
 ) -> tuple[tuple[Choice, ...], ...]:
-    """Return the choices with the ``columns`` and ``loadings`` of all rows, each beside the first of other findings.
+    """Return the choices of each finding with their ``columns`` and ``loadings`` of all rows, beside the first of others.
 
     Under noise that rows share, probabilities and uncertainty stay those that examined rows give.
     """
     out = []
-    for choices, of_finding in zip(average.choices, columns, strict=True):
+    for choices, of_finding, loadings_of_finding in zip(average.choices, columns, loadings, strict=True):
         others = [other[0] for other in columns if other is not of_finding]
         beside = design.extended(np.concatenate([design.fit.jac[:, :0], *others], axis=1))
         options = []
@@ -262,7 +268,7 @@ def reweighed(
             in_all = IN_ALL._replace(among=hypothesis.candidates.number)
             of_all = replace(hypothesis, fit=design.fit, columns=column, candidates=in_all)
             options += weigh([of_all], beside)
-        new = choices_of(options, beside, islice(loadings, len(options)), WIDEST)
+        new = choices_of(options, beside, loadings_of_finding, WIDEST)
         if average.kernel.shared:
             pairs = zip(choices, new, strict=True)
             new = tuple(choice._replace(size=by_all.size, step=by_all.step) for choice, by_all in pairs)
@@ -277,7 +283,7 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     hidden. Of each kind and its units it is the least size of any hypothesis, in its median candidate: a step at the first
     row is an offset. The kinds of findings are none.
     """
-    fitted, limit = result.fitted, 2.0 * average.error()
+    fitted, limit = result.as_fitted, 2.0 * average.error()
     values, vectors = np.linalg.eigh(fitted.root.T @ average.gram @ fitted.root)
     follow = fitted.basis[: fitted.fit.residual.size] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     named = {choice.weighed.hypothesis.kind for choices in average.choices for choice in choices}

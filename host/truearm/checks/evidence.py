@@ -28,7 +28,7 @@ from truearm.types import Floats, Indices
 SCALES = np.array([0.2, 1.0, 5.0])  # of the typical size, equally probable
 SHOWN = 3.0  # standard deviations
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
-LEAST = 1e-300  # probability whose logarithm matters
+LEAST_CHANCE = 1e-300  # probability whose logarithm matters
 WIDEST = 30.0  # of the typical size: the prior of a finding, which the rows have shown already
 
 
@@ -136,18 +136,18 @@ class Weighed(NamedTuple):
         return self.hypothesis.candidate(self.best)
 
 
-class Information(NamedTuple):
+class BesideParameters(NamedTuple):
     """CᵀC (h, c, d + f, d + f) of candidates and nuisance beside the parameters; trace (h, c, 1) of the d alone before."""
 
     square: Floats
     size: Floats
 
 
-def information(hypotheses: Sequence[Hypothesis], design: Design) -> Information:
+def beside_parameters(hypotheses: Sequence[Hypothesis], design: Design) -> BesideParameters:
     """Return what hypotheses that are ``alike`` are beside the parameters, whatever the findings."""
     square, d = squares(hypotheses, design.kernel), hypotheses[0].sizes.size
     size = np.trace(square[..., :d, :d], axis1=2, axis2=3)[..., None]
-    return Information(square - followed(hypotheses, products(hypotheses, design.follow)), size)
+    return BesideParameters(square - followed(hypotheses, products(hypotheses, design.follow)), size)
 
 
 def followed(hypotheses: Sequence[Hypothesis], cross: Floats) -> Floats:
@@ -157,9 +157,9 @@ def followed(hypotheses: Sequence[Hypothesis], cross: Floats) -> Floats:
     return hypotheses[0].candidates.of_squares((flat @ flat.swapaxes(1, 2)).reshape(h, p, d, p, d))
 
 
-def moments(hypotheses: Sequence[Hypothesis], design: Design, prepared: Information | None = None) -> Moments:
-    """Return M and b of all candidates beside a design and the hypotheses' nuisance; ``prepared``: their information, if known."""
-    square, size = information(hypotheses, design) if prepared is None else prepared
+def moments(hypotheses: Sequence[Hypothesis], design: Design, prepared: BesideParameters | None = None) -> Moments:
+    """Return M and b of all candidates beside a design and the hypotheses' nuisance."""
+    square, size = beside_parameters(hypotheses, design) if prepared is None else prepared
     cross, d = products(hypotheses, design.further), hypotheses[0].sizes.size
     square = square - followed(hypotheses, cross[..., :-1])
     score = hypotheses[0].candidates.of_profiles(cross[..., -1])[..., None]
@@ -198,14 +198,14 @@ def squares(hypotheses: Sequence[Hypothesis], kernel: Kernel) -> Floats:
     return candidates.of_squares(np.asarray(gram))
 
 
-def weigh(hypotheses: Sequence[Hypothesis], design: Design, prepared: Information | None = None) -> list[Weighed]:
+def weigh(hypotheses: Sequence[Hypothesis], design: Design, prepared: BesideParameters | None = None) -> list[Weighed]:
     """Return the evidence of hypotheses that are ``alike``, and the probability of chance."""
     sums = moments(hypotheses, design, prepared)
-    information, scores, significant = sums.values, sums.scores, sums.values > 0.0
+    eigenvalues, scores, significant = sums.values, sums.scores, sums.values > 0.0
     variance, square = design.variance, SCALES[:, None, None, None] ** 2
-    gain = square * scores**2 / variance / (variance + square * information)
-    by_scale = 0.5 * gain.sum(axis=3) - 0.5 * np.log1p(square * information / variance).sum(axis=3)
-    drop = (scores**2 / np.where(significant, information, 1.0)).sum(axis=2)
+    gain = square * scores**2 / variance / (variance + square * eigenvalues)
+    by_scale = 0.5 * gain.sum(axis=3) - 0.5 * np.log1p(square * eigenvalues / variance).sum(axis=3)
+    drop = (scores**2 / np.where(significant, eigenvalues, 1.0)).sum(axis=2)
     freedom = significant.sum(axis=2)
     chance = log_chance(drop, freedom, design).min(axis=1)
     by_candidate, weighed = np.logaddexp.reduce(by_scale, axis=0), []
@@ -224,7 +224,7 @@ def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:
     """Return the log probability that noise gives such drops (c,) of χ²; 0 without a degree of freedom."""
     d = np.maximum(freedom, 1).astype(float)
     if design.kernel.declared:
-        log_p = np.log(np.maximum(special.chdtrc(d, drop), LEAST))
+        log_p = np.log(np.maximum(special.chdtrc(d, drop), LEAST_CHANCE))
     else:
         # F(d, ν − d) of drop/d over the remaining variance; its tail is an incomplete beta function of the remaining χ².
         a = np.maximum(design.freedom - d, 0.5) / 2.0
@@ -233,22 +233,22 @@ def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:
 
 
 def log_beta(a: Floats, b: Floats, x: Floats) -> Floats:
-    """Return the logarithm of the regularised incomplete beta function, at least that of LEAST."""
+    """Return the logarithm of the regularised incomplete beta function, at least that of LEAST_CHANCE."""
     p = special.betainc(a, b, np.maximum(x, 0.0))  # rounding can make a drop exceed χ²
-    return np.asarray(np.log(np.maximum(p, LEAST)))
+    return np.asarray(np.log(np.maximum(p, LEAST_CHANCE)))
 
 
 def amount_of(
     weighed: Weighed, variance: float, scale: float = SCALES[-1], is_named: bool = True
 ) -> tuple[Floats, Floats, Floats]:
-    """Return by how much the best candidate is off, with the prior of a scale: β (d,) in typical sizes, a root (d, r) of
-    its covariance, and a basis (d, d − r) of hidden directions, where β is 0.
+    """Return by how much the best candidate is off with the prior of a scale, its uncertainty, and what is hidden.
 
-    These are all of which the rows say less than the typical size does, unless the hypothesis ``is_named`` and they are
-    SHOWN.
+    That is β (d,) in typical sizes, a root (d, r) of its covariance, and a basis (d, d − r) of hidden directions, where β
+    is 0. Hidden are those of which the rows say less than the typical size does, unless the hypothesis ``is_named`` and
+    they are SHOWN.
     """
     values, vectors, scores = (array[weighed.best] for array in weighed.moments)
-    information, scores = values / variance, scores / variance
-    stated = (information > 1.0) | (is_named & (scores**2 > SHOWN**2 * information))
-    root = vectors[:, stated] / np.sqrt(information[stated] + scale**-2.0)
+    eigenvalues, scores = values / variance, scores / variance
+    stated = (eigenvalues > 1.0) | (is_named & (scores**2 > SHOWN**2 * eigenvalues))
+    root = vectors[:, stated] / np.sqrt(eigenvalues[stated] + scale**-2.0)
     return root @ (root.T @ (vectors @ scores)), root, vectors[:, ~stated]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from truearm.checks.averaging import AllRows, Average, Choice, averaged, unseen
 from truearm.checks.catalogue import LAST_MOVE
 from truearm.checks.evidence import Design, Weighed, amount_of
-from truearm.checks.search import RIVAL, Search, checked, columns_of, gain, left_out
+from truearm.checks.search import RIVAL, Search, columns_of, gain, left_out, search_with_noise
 from truearm.checks.whitened import MOST_ROWS, WhitenedFit, used_rows, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.circumstances import measured_order
@@ -33,6 +34,14 @@ EVERY = ".all"  # ends the name of a hypothesis about all items of a type
 LASTING = "eccentricity"  # the form of an error that stays in the arm: parameters alone would predict worse without it
 
 
+class Applied(NamedTuple):
+    """What applying causes of faults gives: the change of the parameters, their mean square error then, and the claim."""
+
+    change: Floats  # (P,)
+    covariance: Floats  # (P, P)
+    claim: ToolClaim
+
+
 @dataclass(frozen=True)
 class Examination:
     """The faults in an estimate, in the order of the search, and the error that the tool may have.
@@ -46,8 +55,8 @@ class Examination:
     free: Mask
     rows: AllRows | None = None
 
-    def applied(self, names: Sequence[str]) -> tuple[Floats, Floats, ToolClaim]:
-        """Return the change (P,) of the parameters with some causes applied; their mean square error (P, P), and claim, then.
+    def applied(self, names: Sequence[str]) -> Applied:
+        """Return what applying some causes gives; the last of several causes of one fault holds.
 
         "mean" applies the mean of the rivals of each fault. Raises InputError for a cause that no fault has.
         """
@@ -60,8 +69,8 @@ class Examination:
                 if rival.apply == name
             }
             if not by_finding:
-                names = [rival.apply for fault in self.faults for rival in fault.rivals if rival.apply]
-                remedy = f"name one of {', '.join(names)}" if names else "these rows show no fault"
+                causes = [rival.apply for fault in self.faults for rival in fault.rivals if rival.apply]
+                remedy = f"name one of {', '.join(causes)}" if causes else "these rows show no fault"
                 raise InputError(Argument("apply"), f" {name}: no cause of a fault in these rows; {remedy}")
             chosen |= by_finding
 
@@ -76,7 +85,7 @@ class Examination:
         step = step_of(average)
         covariance[np.ix_(self.free, self.free)] = average.covariance(step)
         rivals, shift = average.moves(average.of_rivals()), average.moves(average.bias(step))
-        return change, covariance, replace(self.claim, rivals=rivals, shift=shift, chi2_reduced=chi2_reduced)
+        return Applied(change, covariance, replace(self.claim, rivals=rivals, shift=shift, chi2_reduced=chi2_reduced))
 
 
 def examined(
@@ -108,7 +117,7 @@ def examined(
         def rows_at(x: Floats, rows: slice | None = None) -> WhitenedFit:
             return whitened_fit(problem, x, estimate.free, measured, weight[fitted], of_loss, laws, rows)
 
-        examination = of_fit(rows_at(estimate.value), gram, covariance, table, estimate.free)
+        examination = examination_of(rows_at(estimate.value), gram, covariance, table, estimate.free)
         count = used_rows(problem).size
         if examination is None or count <= MOST_ROWS:
             return examination
@@ -153,11 +162,11 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     prior = np.column_stack([fit.prior[:, :-1] @ ways.matrix, fit.prior[:, -1]])
     prior = np.concatenate([prior, np.eye(ways.known, k + 1)])
     fit = replace(fit, jac=fit.jac @ ways.matrix, prior=prior, wide_prior=prior, arm={})
-    examination = of_fit(fit, np.zeros((k, k)), np.zeros((k, k)), table, np.ones(k, dtype=bool))
+    examination = examination_of(fit, np.zeros((k, k)), np.zeros((k, k)), table, np.ones(k, dtype=bool))
     return examination.faults if examination else ()
 
 
-def of_fit(
+def examination_of(
     fit: WhitenedFit, gram: Floats, covariance: Floats, table: ObservationTable, free: Mask
 ) -> Examination | None:
     """Return the examination of a fit with the ``covariance`` (k, k); ``gram`` (k, k) [m²] is what moves the tool.
@@ -166,12 +175,18 @@ def of_fit(
     """
     if not float(fit.residual @ fit.residual) <= GROSS**2 * fit.residual.size:
         return None
-    result = checked(fit)
+    result = search_with_noise(fit)
     average, kernel = averaged(result, gram, covariance), result.design.kernel
     declared = result.declared.extended(columns_of(result.detections, fit))
     chi2_reduced = declared.chi2 / max(declared.freedom, 1.0)
-    noise = kernel.name, kernel.scale, chi2_reduced
-    claim = ToolClaim(*average.decomposition(), *noise, unseen(result, average), result.refused)
+    claim = ToolClaim(
+        *average.decomposition(),
+        noise=kernel.name,
+        noise_factor=kernel.scale,
+        chi2_reduced=chi2_reduced,
+        unseen=unseen(result, average),
+        refused=result.refused,
+    )
     return Examination(diagnoses(result, average, table), claim, average, free)
 
 
@@ -180,7 +195,7 @@ def diagnoses(result: Search, average: Average, table: ObservationTable) -> tupl
     out = []
     findings = zip(result.detections, average.choices, average.steps, strict=True)
     for detection, choices, steps in findings:
-        other_findings = result.fitted.extended(result.beside(detection))
+        other_findings = result.as_fitted.extended(result.beside(detection))
         baseline = left_out(other_findings, result.block)
         residuals = [left_out(other_findings.extended(choice.weighed.columns), result.block) for choice in choices]
         residuals += [np.array([choice.weight for choice in choices]) @ residuals]

@@ -18,16 +18,17 @@ from scipy import special
 from truearm.checks.alternatives import Robots, other_interpretations
 from truearm.checks.examination import GROSS
 from truearm.checks.labels import relabelled
+from truearm.checks.search import RIVAL
 from truearm.checks.trial import (
     FAR,
     HUNDREDFOLD,
     Alternative,
     Trial,
-    evidence,
     explains,
     fitted,
-    log_chance,
     log_chance_of_place,
+    log_chance_of_ratio,
+    log_evidence,
     placed,
 )
 from truearm.estimate.solvers import SOLVERS
@@ -40,7 +41,6 @@ from truearm.units import UNITS
 
 STEPS_TO_RANK = 2  # to place base, tool and rig
 MOST_PLACED, MOST_FITTED = 8, 4  # the best alternatives that go on
-RIVALS = math.log(100.0)  # nats, of explanations that are reported with the best
 MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search
 TENFOLD = 0.1  # of χ²
 NOISE_LEVEL = 0.01  # probability that declared noise alone leaves a larger χ²
@@ -106,7 +106,7 @@ def explanations_of(
     if not any(trial.reduced < HUNDREDFOLD * original.reduced for trial in trials):
         labels, runs = relabelled(inputs)  # pays for each run: one mistake that explains all rows is more probable
         trials = explaining(original, [*(trial.alternative for trial in trials), *[labels] * bool(runs)], tried)
-    rivals = [trial for trial in trials if evidence(original, trial) > evidence(original, trials[0]) - RIVALS]
+    rivals = [trial for trial in trials if log_evidence(original, trial) > log_evidence(original, trials[0]) - RIVAL]
     return tuple(_explanation(original, trial, tried) for trial in rivals), tried
 
 
@@ -135,15 +135,17 @@ def explaining(original: Trial, alternatives: Sequence[Alternative], count: int)
 
 
 def _ranked(original: Trial, trials: Sequence[Trial | None]) -> list[Trial]:
-    return sorted(filter(None, trials), key=lambda trial: -evidence(original, trial))
+    return sorted(filter(None, trials), key=lambda trial: -log_evidence(original, trial))
 
 
 def _explanation(original: Trial, after: Trial, count: int) -> Explanation:
+    """Return what is reported of an alternative after its trial, one of ``count``, with the chance of (14)."""
     inputs = after.alternative
-    by_fit, by_place = log_chance(after.reduced / original.reduced, after.freedom), log_chance_of_place(original, after)
-    chance = math.exp(min(min(by_fit, by_place) + math.log(count), 0.0))
+    by_fit = log_chance_of_ratio(after.reduced / original.reduced, after.freedom)
+    chance = math.exp(min(min(by_fit, log_chance_of_place(original, after)) + math.log(count), 0.0))
     values = dict(inputs.values)
-    for effect in inputs.effects:
+    if inputs.effects:
+        (effect,) = inputs.effects  # an alternative differs by one mistake
         values["off"] = [
             f"{name.rpartition('.')[2]} {UNITS[unit].scale.text(size, '.3g')}"
             for name, unit, size in zip(

@@ -175,8 +175,8 @@ def scores(
     for number, names in enumerate(possible[:-1]):
         valid = _valid(inputs.rig, table, names)
         renamed_rows = with_labels(inputs.rig, table, all_rows, possible, np.full(all_rows.size, number)).select(valid)
-        out[number, valid] = likelihood(misfit(inputs.chain, inputs.rig, renamed_rows, parameters), scale)
-    out[-1] = likelihood(np.array(APART**2), 1.0)
+        out[number, valid] = robust_likelihood(misfit(inputs.chain, inputs.rig, renamed_rows, parameters), scale)
+    out[-1] = robust_likelihood(np.array(APART**2), 1.0)
     return out
 
 
@@ -215,7 +215,7 @@ def subsets(table: ObservationTable, rows: Indices) -> Iterator[Indices]:
         yield rows[mask][thinned(int(mask.sum()), MOST_ROWS)]
 
 
-def likelihood(square: Floats, scale: float) -> Floats:
+def robust_likelihood(square: Floats, scale: float) -> Floats:
     """Return the robust log-likelihood (n,) of rows by the squares of their residuals."""
     return np.asarray(-1.5 * np.log1p(square / (2.0 * scale**2)))
 

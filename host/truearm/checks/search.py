@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg, special
 
 from truearm.checks.catalogue import Hypothesis, alike, catalogue, rows_used, spans_of
-from truearm.checks.evidence import WIDEST, Design, Information, Weighed, build_design, information, weigh
+from truearm.checks.evidence import WIDEST, BesideParameters, Design, Weighed, beside_parameters, build_design, weigh
 from truearm.checks.whitened import DECLARED, WhitenedFit, learned_noise
 from truearm.estimate.ties import largest_first
 from truearm.types import Floats, Indices
@@ -29,12 +29,12 @@ SAME = 1.0 - 1e-6  # cosine of the angles between columns that no data can disti
 UNCONFIRMED = 0.025  # probability that chance alone makes left-out rows so much better
 BLOCKS = 12  # contiguous stretches of the order of measurement, which are left out in turn
 FEWEST_BLOCKS = 3
-LEAST = 1e-9  # share of a direction that other rows determine: less is rounding
+LEAST_SHARE = 1e-9  # share of a direction that other rows determine: less is rounding
 ODD = 1e-3  # probability that χ² of noise as declared is so small or so large
 ODD_ORDER = 4.0  # standard deviations of the correlation of neighbours
 
 # Hypotheses with the ends of a candidate at any rows between the next knots, by that candidate; and their information.
-Finer = dict[tuple[Hypothesis, int], tuple[Hypothesis, Information]]
+Finer = dict[tuple[Hypothesis, int], tuple[Hypothesis, BesideParameters]]
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ class Search:
     """The findings in order, the design with all of them, and the evidence of every hypothesis given them."""
 
     detections: tuple[Detection, ...]
-    design: Design
+    design: Design  # with the declared or the learned noise
     table: tuple[Weighed, ...]
-    bare: Design  # without findings
-    fitted: Design  # as the parameters were fitted, without findings
+    without_findings: Design  # otherwise as ``design``
+    as_fitted: Design  # without findings, with the declared noise and the prior of the fit
     declared: Design  # without findings, with the declared noise
     block: Indices  # (m,) of residuals to leave out together
     refused: tuple[str, ...] = ()  # beyond chance, but they do not predict rows that were left out
@@ -62,11 +62,11 @@ class Search:
     @cached_property
     def response(self) -> Floats:
         """Return by how much (k, m) the parameters follow errors of the residuals."""
-        fitted, fit = self.fitted, self.fitted.fit
+        design, fit = self.as_fitted, self.as_fitted.fit
         if (fit.pull != 1.0).any():
             pulled = replace(fit, jac=fit.jac * fit.pull[:, None], residual=fit.residual * fit.pull)
-            fitted = build_design(pulled, DECLARED, fit.prior)
-        return fitted.root @ (fitted.basis[: fit.pull.size].T * fit.pull)
+            design = build_design(pulled, DECLARED, fit.prior)
+        return design.root @ (design.basis[: fit.pull.size].T * fit.pull)
 
     def beside(self, detection: Detection) -> Floats:
         """Return the columns (m, d) of all other findings."""
@@ -79,31 +79,29 @@ def columns_of(detections: Sequence[Detection], fit: WhitenedFit) -> Floats:
     return np.concatenate([np.zeros((fit.residual.size, 0)), *columns], axis=1)
 
 
-def checked(fit: WhitenedFit) -> Search:
-    """Return the findings under the declared noise; where that does not describe the rows, under a noise learned from them.
+def search_with_noise(fit: WhitenedFit) -> Search:
+    """Return the findings under the declared noise, or a noise learned from the rows if that does not describe them.
 
-    That noise is learned beside the findings if these explain more than it does without them.
+    Noise is learned without findings, and beside them if they leave odd residuals or explain less than that noise does.
+    What explains more is taken.
     """
     hypotheses = catalogue(fit)
-    bare = build_design(fit, DECLARED, fit.wide_prior)
-    fitted = build_design(fit, DECLARED, fit.prior)
-    plain = searched(bare, hypotheses, fitted)
-    is_small = bare.chi2 < special.chdtri(bare.freedom, 1.0 - ODD / 2.0)  # which no finding explains
+    declared, as_fitted = build_design(fit, DECLARED, fit.wide_prior), build_design(fit, DECLARED, fit.prior)
+    plain = searched(declared, hypotheses, as_fitted)
+    is_small = declared.chi2 < special.chdtri(declared.freedom, 1.0 - ODD / 2.0)  # which no finding explains
     still_odd = is_odd(plain.design)
-    if not (is_small or is_odd(bare) or still_odd):
+    if not (is_small or is_odd(declared) or still_odd):
         return plain
     kernel = learned_noise(fit)
     if not is_small:
-        price = log_counts(hypotheses)
-        explained = sum(
-            detection.best.log_evidence - price[detection.best.hypothesis.kind] for detection in plain.detections
-        )
+        log_count, findings = log_counts(hypotheses), [detection.best for detection in plain.detections]
+        explained = sum(finding.log_evidence - log_count[finding.hypothesis.kind] for finding in findings)
         is_doubtful = still_odd or explained < kernel.gain
         learned = learned_noise(fit.extended(columns_of(plain.detections, fit), WIDEST)) if is_doubtful else DECLARED
         kernel = learned if explained + learned.gain > kernel.gain else kernel
     if kernel.declared:
         return plain
-    return replace(searched(build_design(fit, kernel, fit.wide_prior), hypotheses, fitted), declared=bare)
+    return replace(searched(build_design(fit, kernel, fit.wide_prior), hypotheses, as_fitted), declared=declared)
 
 
 def is_odd(design: Design) -> bool:
@@ -117,33 +115,41 @@ def is_odd(design: Design) -> bool:
     return bool(chi2 > high) or abs(product) / max(chi2, 1e-300) * math.sqrt(residual.size) > ODD_ORDER
 
 
-def searched(bare: Design, hypotheses: Sequence[Hypothesis], fitted: Design) -> Search:
-    """Return the findings, each the most probable given those before it; ``bare`` is the design without any.
+def searched(without_findings: Design, hypotheses: Sequence[Hypothesis], as_fitted: Design) -> Search:
+    """Return the findings, each the most probable given those before it.
 
-    ``fitted`` is that of the parameters as they were fitted.
-
-    If the noise was learned, a finding must predict each block of rows from the others, or it is refused with its
-    rivals and the search ends: what is less probable explains the same residuals.
+    ``without_findings`` and ``as_fitted`` are designs of ``Search``. If the noise was learned, a finding must predict
+    each block of rows from the others, or it is refused with its rivals and the search ends: what is less probable
+    explains the same residuals.
     """
-    fit, log_count = bare.fit, log_counts(hypotheses)
+    fit, log_count = without_findings.fit, log_counts(hypotheses)
     block = left_out_blocks(fit.n, fit.measured.place)[fit.row]
     sets = alike(hypotheses)
-    prepared = [information(members, bare) for members in sets]
+    prepared = [beside_parameters(members, without_findings) for members in sets]
     detections: list[Detection] = []
     finer: Finer = {}
     refused: tuple[str, ...] = ()
     while True:
-        design = bare.extended(columns_of(detections, fit))
+        design = without_findings.extended(columns_of(detections, fit))
         by_set = chain.from_iterable(map(weigh, sets, repeat(design), prepared))
         evidence = {weighed.hypothesis: weighed for weighed in by_set}
         table = tuple(evidence[hypothesis] for hypothesis in hypotheses)
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
-            return Search(tuple(detections), design, table, bare, fitted, bare, block, refused)
+            return Search(
+                tuple(detections),
+                design,
+                table,
+                without_findings=without_findings,
+                as_fitted=as_fitted,
+                declared=without_findings,
+                block=block,
+                refused=refused,
+            )
         detection = detected(significant, table, design, finer)
-        baseline = fitted.extended(columns_of(detections, fit))
+        baseline = as_fitted.extended(columns_of(detections, fit))
         residual = left_out(baseline.extended(detection.best.columns), block)
-        if bare.kernel.declared or gain(left_out(baseline, block), residual, block).chance < UNCONFIRMED:
+        if without_findings.kernel.declared or gain(left_out(baseline, block), residual, block).chance < UNCONFIRMED:
             detections.append(detection)
         else:
             refused = tuple(weighed.name for weighed in (detection.best, *detection.rivals))
@@ -156,12 +162,12 @@ def log_counts(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
 
 
 def is_significant(weighed: Weighed, log_count: float) -> bool:
-    """Return whether chance hardly gives such a reduction of χ² to any of the hypotheses, by the logarithm of their number."""
+    """Return whether chance hardly gives such a reduction of χ² to any hypothesis, by the logarithm of their number."""
     return weighed.log_chance + log_count < math.log(LEVEL) and weighed.log_evidence > 0.0
 
 
 def detected(significant: Collection[str], table: Sequence[Weighed], design: Design, finer: Finer) -> Detection:
-    """Return the most probable of the ``significant`` hypotheses, those nearly as probable, and those that no rows can tell from it.
+    """Return the most probable of the ``significant`` hypotheses with its rivals and aliases.
 
     Steps and runs have their ends refined before they are compared: a large error has no evidence between two knots.
     """
@@ -204,12 +210,12 @@ def refined(best: Weighed, design: Design, finer: Finer) -> Weighed:
         tried = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
         candidates = spans_of(tried, design.fit.n, rows.size**moved / max(moved, 1))
         fine_hypothesis = replace(hypothesis, candidates=candidates)
-        finer[key] = fine_hypothesis, information([fine_hypothesis], design)
+        finer[key] = fine_hypothesis, beside_parameters([fine_hypothesis], design)
     (fine,) = weigh([finer[key][0]], design, finer[key][1])
     return max(best, fine, key=lambda weighed: weighed.log_evidence)
 
 
-class Gain(NamedTuple):
+class LeftOutGain(NamedTuple):
     """What a finding gives in rows that were left out; NaN with fewer than FEWEST_BLOCKS, since one place says nothing.
 
     ``chance`` gives as much with a probability of the smaller one of two tests over the blocks, doubled. Student's t suits
@@ -239,22 +245,22 @@ def left_out(design: Design, block: Indices) -> Floats:
         inside = block == number
         basis = design.basis[: block.size][inside]
         share, residual = np.eye(len(basis)) - basis @ basis.T, design.remainder[: block.size][inside]
-        factor = linalg.cho_factor(share + LEAST * np.eye(len(basis)))
+        factor = linalg.cho_factor(share + LEAST_SHARE * np.eye(len(basis)))
         value = linalg.cho_solve(factor, residual)
-        out[inside] = value + linalg.cho_solve(factor, residual - share @ value)  # as without LEAST
+        out[inside] = value + linalg.cho_solve(factor, residual - share @ value)  # as without LEAST_SHARE
     return out
 
 
-def gain(baseline: Floats, residual: Floats, block: Indices) -> Gain:
+def gain(baseline: Floats, residual: Floats, block: Indices) -> LeftOutGain:
     """Return the gain of the residuals (m,) of left-out blocks after something was added to the fit."""
     numbers = np.unique(block)
     squares, later = (np.bincount(block, series**2)[numbers] for series in (baseline, residual))
     less = np.asarray(squares - later, dtype=float)
     if less.size < FEWEST_BLOCKS:
-        return Gain(math.nan, math.nan, math.nan)
+        return LeftOutGain(math.nan, math.nan, math.nan)
     t = float(less.mean() / max(less.std(ddof=1) / math.sqrt(less.size), 1e-12))
     chance = min(special.stdtr(less.size - 1, -t), chance_of_ranks(less))
-    return Gain(float(less.sum() / squares.sum()), t, float(2.0 * chance))
+    return LeftOutGain(float(less.sum() / squares.sum()), t, float(2.0 * chance))
 
 
 def chance_of_ranks(less: Floats) -> float:

@@ -94,14 +94,14 @@ class Trial:
         return all(rms <= UNITS[unit].weak_sigma for unit, rms in self.rms.items())
 
 
-def evidence(before: Trial, after: Trial) -> float:
+def log_evidence(before: Trial, after: Trial) -> float:
     """Return the logarithm of the evidence for an alternative, up to a constant; rows that it leaves out gain nothing."""
     share = after.alternative.rows.size / before.alternative.rows.size
     gain = math.log(before.reduced / max(after.reduced, 1e-300))
     return 0.5 * (share * after.freedom * gain - after.displacement**2) - after.alternative.price
 
 
-def log_chance(ratio: float, freedom: float) -> float:
+def log_chance_of_ratio(ratio: float, freedom: float) -> float:
     """Return the log probability that two mean squares with equal degrees of freedom have a ratio of at most ``ratio``."""
     half_freedom = np.array(max(freedom, 1.0) / 2.0)
     return float(log_beta(half_freedom, half_freedom, np.array(ratio / (1.0 + ratio))))
@@ -120,7 +120,7 @@ def explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOLD
     was described, while the inputs as given do not.
     """
     ratio, beyond = after.reduced / before.reduced, math.log(LEVEL / count)
-    better = ratio < least and log_chance(ratio, after.freedom) < beyond
+    better = ratio < least and log_chance_of_ratio(ratio, after.freedom) < beyond
     nearer = not after.alternative.rescaled and ratio < AS_WELL and log_chance_of_place(before, after) < beyond
     return after.plausible and after.shifted < LARGEST_SHIFT and (better or nearer)
 

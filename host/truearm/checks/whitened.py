@@ -268,8 +268,8 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     )
     shapes = [(name, width) for name, width in SHAPES if name != "mount" or np.unique(fit.measured.run[rows]).size > 1]
     choices = [("white", 0.0, 0.0), *((*shape, share) for shape in shapes for share in SHARES)]
-    declared, _ = likelihood(judged, DECLARED)
-    likelihoods = [likelihood(judged, kernel_of(judged, rows, *choice)) for choice in choices]
+    declared, _ = restricted_likelihood(judged, DECLARED)
+    likelihoods = [restricted_likelihood(judged, kernel_of(judged, rows, *choice)) for choice in choices]
     best = first_within([value for value, _ in likelihoods])
     value, scale = likelihoods[best]
     gain = value - declared - math.log(len(choices))
@@ -278,7 +278,7 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
     return replace(kernel_of(fit, np.arange(fit.n), *choices[best]), scale=scale, gain=gain)
 
 
-def likelihood(fit: WhitenedFit, kernel: Kernel) -> tuple[float, float]:
+def restricted_likelihood(fit: WhitenedFit, kernel: Kernel) -> tuple[float, float]:
     """Return the restricted log-likelihood of the residuals, and the scale of the noise.
 
     −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless the kernel is the declared one. The columns
