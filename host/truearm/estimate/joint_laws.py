@@ -6,7 +6,7 @@ Otherwise the parameters of the laws are appended to those of the estimate's rob
 else under the learned noise. The fit is still judged (χ²) against the declared noise.
 
 Bad rows bend the geometry and hide the laws, and the laws that were not fitted widen the gate for bad rows.
-``without_outliers`` breaks this circle. First, the geometry is fitted without the rows beyond the gate that its own
+``laws_and_outliers`` breaks this circle. First, the geometry is fitted without the rows beyond the gate that its own
 misfit widens (``outliers``), and laws are fitted to the others. Then every row is compared with its prediction by the
 laws under the learned noise. Rows beyond that gate are left out if they ``matter``, and rows within it return, until
 the set no longer changes. Where no law is kept without those rows, none is left out.
@@ -80,7 +80,7 @@ class WithLaws(NamedTuple):
     choice: LawChoice | None = None
 
 
-def without_outliers(
+def laws_and_outliers(
     geometry: Estimate,
     refit: Callable[[Mask], Estimate],
     with_laws: Callable[[Estimate, LawChoice | None], WithLaws],

@@ -21,7 +21,7 @@ from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.identify import SolverOptions, judged
 from truearm.estimate.identify import identify as estimate_parameters
-from truearm.estimate.joint_laws import LawRequest, WithLaws, is_of_joint, with_joint_laws, without_outliers
+from truearm.estimate.joint_laws import LawRequest, WithLaws, is_of_joint, laws_and_outliers, with_joint_laws
 from truearm.estimate.law_choice import LawChoice
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.prediction import predicted_point_error, with_scatter_at_tool
@@ -378,7 +378,7 @@ def identified(
     if options.joint_laws == LawMode.NONE:
         estimate = checked(estimate)
     else:
-        chain, estimate, *_ = without_outliers(estimate, geometry, with_laws)
+        chain, estimate, *_ = laws_and_outliers(estimate, geometry, with_laws)
     if not estimate.unusable:
         examination = examine_once(chain, estimate)
         estimate = with_faults(estimate, examination)
