@@ -13,6 +13,7 @@ Lines are driven in both directions: otherwise τ is a shift along the line.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import assert_never
@@ -87,11 +88,11 @@ def facts(rows: ObservationTable) -> tuple[tuple[str, str], ...]:
     moving = np.isfinite(rows.q_rate).all(axis=1)
     if not moving.any():
         return ()
-    passes = {(name, group) for name, group in zip(rows.line[moving], rows.shell[moving], strict=True)}
-    names = sorted({str(name) for name, _ in passes})
-    both = sum(sum(name == line for line, _ in passes) > 1 for name in names)
+    directions = {*zip(rows.line[moving].tolist(), rows.shell[moving].tolist(), strict=True)}
+    passes = Counter(line for line, _ in directions)
+    both_ways = sum(count > 1 for count in passes.values())
     return (
-        ("lines driven", f"{', '.join(names[:20])}; {both} of {len(names)} there and back"),
+        ("lines driven", f"{', '.join(sorted(passes)[:20])}; {both_ways} of {len(passes)} there and back"),
         ("points on lines", f"{int(moving.sum())} in motion, {int((~moving).sum())} at rest"),
     )
 

@@ -39,14 +39,14 @@ class PlaneRows(Group):
         """Return residuals (n,) and their derivatives at x (P,)."""
         p = len(chain.parameters)
         trace = trace_point(chain, x[:p], self.q, gather(x, self.constants, self.target))
-        numbers = gather(x, self.constants, self.plane)
-        tilts = self.axes[:, :2]
-        tilt = np.einsum("nk,nki->ni", numbers[:, 1:], tilts)
+        numbers = gather(x, self.constants, self.plane)  # offset and two angles
+        tilt_axes = self.axes[:, :2]
+        tilt = np.einsum("nk,nki->ni", numbers[:, 1:], tilt_axes)  # a rotation vector
         normal = np.einsum("nij,nj->ni", rotation(tilt), self.axes[:, 2])
         lever = trace.p_base - self.point
         derivative = along(trace, normal[None])
         # (δφ × n)·r = (n × r)·δφ with δφ = J_l δ(tilt)
-        turned = np.einsum("ni,nij,nkj->nk", cross(normal.T, lever.T).T, left_jacobian(tilt), tilts)
+        turned = np.einsum("ni,nij,nkj->nk", cross(normal.T, lever.T).T, left_jacobian(tilt), tilt_axes)
         by_plane = np.column_stack([np.full(len(turned), -1.0), turned])[None]
         predicted = (normal * lever).sum(axis=1) - numbers[:, 0]
         columns = (self.target, derivative.jac_point), (self.plane, by_plane)

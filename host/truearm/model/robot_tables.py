@@ -192,6 +192,7 @@ class AmountValue(Value):
         return self.number.suffixes
 
     def parse(self, raw: Any, suffix: str = "") -> Amount:
+        """Return the amount of a number, or of a table of the values in named sets, in the unit of a key's suffix."""
         if isinstance(raw, dict):
             amount = Amount(None, *self._sets(raw, suffix))
         elif isinstance(raw, int | float):

@@ -96,7 +96,7 @@ def move(motion: str, amount: Floats, cos_sin: tuple[Floats, Floats], points: Fl
 
 
 def turn(motion: str, cos: Floats, sin: Floats, vectors: Floats) -> Floats:
-    """Rotate vectors (3, …, n) about one coordinate axis."""
+    """Rotate vectors (3, …, n) about the axis of a motion such as "rz", by angles (n,) with these cosines and sines."""
     k = axis_of(motion)
     a, b = (k + 1) % 3, (k + 2) % 3
     out = np.empty((*vectors.shape[:-1], cos.size), dtype=np.result_type(cos, vectors))

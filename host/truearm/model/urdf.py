@@ -243,7 +243,7 @@ def _build(name: str, path: list[_UrdfJoint]) -> Chain:
             continue
         index = len(joints)
         elements += _moving(joint, index)
-        joints.append(_limits(joint) if joint.xml.find("mimic") is None else _mimic_joint(joint, path))
+        joints.append(_driven_joint(joint) if joint.xml.find("mimic") is None else _mimic_joint(joint, path))
         for term in (Offset, Gain):
             unit = term.unit_of(joints[index].kind)
             parameters.append(Parameter(f"{joint.name}.{term.name}", unit, term.neutral, term.name, index))
@@ -290,7 +290,8 @@ def _axis(joint: _UrdfJoint) -> tuple[float, float, float]:
     return x / norm, y / norm, z / norm
 
 
-def _limits(joint: _UrdfJoint) -> Joint:
+def _driven_joint(joint: _UrdfJoint) -> Joint:
+    """Return a joint that follows no other, with its limits; a continuous one, and a revolute one without <limit>, has none."""
     kind = "prismatic" if joint.kind == "prismatic" else "revolute"
     node = joint.xml.find("limit")
     if joint.kind == "continuous" or (node is None and kind == "revolute"):

@@ -216,7 +216,7 @@ class Roadmap:
     legs: dict[tuple[int, int], Floats | None] = field(default_factory=dict)
 
     def check(self, moves: Iterable[tuple[int, int]]) -> None:
-        """Find the ways of all moves between candidates that were not checked before, together."""
+        """Enter the via points of moves (candidate, candidate) into ``legs``, all that it lacks in one search."""
         new = [move for move in dict.fromkeys(moves) if move not in self.legs]
         if new:
             start, end = np.array(new).T

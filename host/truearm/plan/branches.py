@@ -27,6 +27,7 @@ N_SEEDS = 30_000
 ITERATIONS = 8  # of a pose that converges at all, 99 % have by then
 NEARLY = 1.0  # a start may be twice as far as the nearest: found in a quarter of the time, it converges as often
 DAMPING = 0.01
+LARGEST_STEP = 0.4  # rad
 LEVER = 0.45  # m, makes metres comparable with radians
 MIN_SINGULAR_VALUE = 0.05
 TOLERANCE = 1e-7  # LEVERs, and rad
@@ -119,13 +120,17 @@ def _possible(arm: Arm, poses: Floats) -> NDArray[np.bool_]:
 
 
 def _solved(arm: Arm, poses: Floats) -> Floats:
+    """Return joint vectors (m, j) for end poses (m, 4, 4), by damped Newton steps from one of the nearest seeds.
+
+    NaN where they do not converge, leave the branch or end near a singularity.
+    """
     q = arm.q_seeds[arm.seeds.query(_features(poses), eps=NEARLY)[1]]
     unsolved = np.arange(len(q))
     for _ in range(ITERATIONS):
         error, jacobian = error_and_jacobian(arm.chain, arm.params, poses[unsolved], q[unsolved], lever=LEVER)
         normal = jacobian @ jacobian.swapaxes(-1, -2) + DAMPING**2 * np.eye(6)
         step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(normal, error[..., None]))[..., 0]
-        q[unsolved] += np.clip(step, -0.4, 0.4)
+        q[unsolved] += np.clip(step, -LARGEST_STEP, LARGEST_STEP)
         unsolved = unsolved[np.abs(error).max(axis=-1) > TOLERANCE]
     good = np.all((q > arm.branch.lower) & (q < arm.branch.upper), axis=-1)
     good[unsolved] = False

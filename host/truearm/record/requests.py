@@ -36,23 +36,24 @@ class FrameCount:
     def __init__(self) -> None:
         self.lost = self.odd = 0
         self._next: int | None = None
-        self._jump = 0  # of the last frame
+        self._last_skipped = 0  # by the last frame
 
     def clear(self) -> None:
         """Count from the next frame on."""
         self._next = None
 
     def take(self, seq: int) -> bool:
-        """Count a frame; return whether it continues the count."""
-        ahead = 0 if self._next is None else (seq - self._next + _SEQ_HALF) % _SEQ_END - _SEQ_HALF
-        if ahead < 0:
+        """Count a frame; return whether it continues the count, and is neither behind it nor the last one again."""
+        skipped = 0 if self._next is None else (seq - self._next + _SEQ_HALF) % _SEQ_END - _SEQ_HALF
+        if skipped < 0:
             self.odd += 1
-            skipped = ahead + self._jump + 1  # since the frame before the last one
-            if skipped < 0 or ahead == -1:
+            is_repeated = skipped == -1
+            skipped += self._last_skipped + 1  # since the frame before the last one, whose own count was wrong
+            if skipped < 0 or is_repeated:
                 return False
-            ahead, self.lost = skipped, self.lost - self._jump
-        self.lost += ahead
-        self._next, self._jump = seq + 1, ahead
+            self.lost -= self._last_skipped
+        self.lost += skipped
+        self._next, self._last_skipped = seq + 1, skipped
         return True
 
 

@@ -222,7 +222,7 @@ def sentences(texts: Iterable[str], css: str, limit: int = 600) -> str:
 
 
 def finding_parts(findings: Sequence[Finding]) -> tuple[str, str, str]:
-    """Return the verdict as a heading, what to look at and to do, and notes."""
+    """Return findings as HTML: the verdict as a heading, lists of doubts and of advice, and a list of notes."""
     stated = [finding for finding in findings if finding.code != "simulated"]
 
     def listed(css: str, *severities: Severity) -> str:

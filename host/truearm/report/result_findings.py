@@ -106,8 +106,8 @@ def verdict(document: Document) -> Finding:
         values = {"unjudged": True, "rows": "the fitted rows"}
         values |= {name: sizes(document, f"rms_{name}") for name in ("after", "before")}
     if document["faults"] and predicted:
-        shown = None if _is_explained(document) else document["unexplained"]
-        error = {"mm": max(predicted["rms_mm"], (shown or {}).get("mean_mm") or 0.0)}
+        unexplained = {} if _is_explained(document) else document["unexplained"] or {}
+        error = {"mm": max(predicted["rms_mm"], unexplained.get("mean_mm") or 0.0)}
         applied = document.get("applied")
         values |= {"applied": applied, "remaining": error} if applied else {"expected": error}
     return Finding("usable", values)
@@ -672,8 +672,9 @@ def rig_unknowns(n_settled: int, n_left_out: int) -> list[Finding]:
 def _advice(document: Document) -> Iterator[Finding]:
     """Return what to do next."""
     because, full_rank = document["unusable_because"], document["rank"] == document["n_free"]
-    most_useful = {addition["kind"]: addition for addition in reversed(document["additions"])}  # the first is the best
-    for addition in () if wrong_first(document) else reversed(most_useful.values()):
+    additions = [] if wrong_first(document) else document["additions"]  # the most useful first
+    best_of_kind = {addition["kind"]: addition for addition in reversed(additions)}
+    for addition in reversed(best_of_kind.values()):
         what = addition["text"].removeprefix("measure ")
         values = {"what": what, "n": len(addition["parameters"]), "names": addition["parameters"]}
         yield Finding("measure-next", {**values, "full_rank": full_rank})

@@ -447,7 +447,10 @@ def sensor_bins(samples: ChannelSamples) -> Bins:
 
 
 def _resting(dwell: Dwell, stop: Dwell, t_host_ns: int) -> Dwell:
-    """Return the dwell over the complete rest of the sensor, in host times."""
+    """Return a noted dwell over the complete rest of the sensor.
+
+    ``stop``: that rest [s of the host's clock]. ``t_host_ns``: when the joints were noted, which is ``dwell.start_s``.
+    """
     begin, end, stood = (round(1e9 * t) for t in (stop.start_s, stop.end_s, stop.stood_s))
     noted_s = dwell.start_s
     return replace(

@@ -165,7 +165,7 @@ def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints
 
 
 def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
-    """Concatenate at least one batch of readings with equal numbers of joints."""
+    """Concatenate at least one batch of readings with equal numbers of joints; missing columns are filled with no value."""
     if len(batches) == 1:
         return batches[0]
     width = batches[0].q.shape[1]

@@ -49,7 +49,7 @@ class Census:
                 self._keep(datum, min(other_uses))
 
     def refuse(self, move: Move, reason: Reason) -> None:
-        """Refuse a move. Its names then have another use, so moves by these names lose their literals."""
+        """Refuse a move. It goes on reading the old numbers, so other moves by the same names lose their literals."""
         if move.reason is None:
             move.reason = reason
             self.replaced.discard(move)

@@ -325,6 +325,7 @@ class LineDialect:
         return values if len(values) <= MAX_LINE else line  # the embedded original may have grown
 
     def _line(self, text: str, line: bytes) -> bytes:
+        """Return a session's line as ``line`` does, or learn the columns from a header; ``text``: the line, decoded."""
         if text.startswith("{"):
             return self._json(text, line)
         cells = [cell.strip() for cell in text.split(",")]
@@ -334,6 +335,7 @@ class LineDialect:
         return line if self._columns is None else self._columns.line(cells, line=text) or line
 
     def _json(self, text: str, line: bytes) -> bytes:
+        """Return a session's line for a JSON object, or learn the names from a declaration."""
         if self._names == Names() and parse_line(line) is not None:
             return line
         try:
