@@ -14,8 +14,8 @@ from truearm.estimate.mounted_pairings import (
     Words,
     mistakes,
     mountings,
-    posterior,
     runs,
+    state_probabilities,
     transition,
 )
 from truearm.model.robot_file import builtin_robot
@@ -44,7 +44,7 @@ def test_probabilities_are_those_of_all_paths():
             log += np.log(steps[i][path[i - 1], path[i]]) + told[i, path[i]] + seen[i, path[i]]
         for i in range(n):
             weight[i, path[i]] += np.exp(log)
-    probability, evidence = posterior(steps, told, came, stayed)
+    probability, evidence = state_probabilities(steps, told, came, stayed)
     np.testing.assert_allclose(probability, weight / weight.sum(axis=1, keepdims=True), rtol=1e-9)
     np.testing.assert_allclose(evidence, np.log(weight[0].sum()), rtol=1e-9)
 

@@ -6,7 +6,7 @@ from scipy import stats
 
 from truearm.errors import ProblemError
 from truearm.estimate.repeatability import (
-    LEVEL,
+    CONFIDENCE,
     Visits,
     allan,
     mean_interval,
@@ -44,7 +44,7 @@ def coverage(intervals, truth):
 
 def covers(share, runs=RUNS):
     """Return whether a share of runs is consistent with 95 %, within 99.9 %."""
-    low, high = stats.binom.ppf([0.0005, 0.9995], runs, LEVEL) / runs
+    low, high = stats.binom.ppf([0.0005, 0.9995], runs, CONFIDENCE) / runs
     return low <= share <= high
 
 

@@ -122,7 +122,7 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
             learned = min((learned, of_all), key=tool)
         covariance = max((covariance, learned), key=tool)
     unnamed = [np.zeros((len(gram), 0))]
-    for weighed, weight in zip(result.table, posterior(result.table, result.refused), strict=True):
+    for weighed, weight in zip(result.table, probabilities(result.table, result.refused), strict=True):
         if weight > LEAST_WEIGHT:
             choice = choice_of(weighed, float(weight), result.design, result.response @ weighed.columns)
             unnamed.append(math.sqrt(weight) * np.column_stack([choice.step, choice.root]))
@@ -130,7 +130,7 @@ def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
     return Average(gram, covariance, np.concatenate(unnamed, axis=1), choices, kernel)
 
 
-def posterior(table: Sequence[Weighed], refused: Sequence[str] = ()) -> Floats:
+def probabilities(table: Sequence[Weighed], refused: Sequence[str]) -> Floats:
     """Return the probability of each hypothesis beside "nothing", which shares of PRIOR for its kind give.
 
     The evidence of those that were ``refused`` does not count: rows that were left out contradict it.

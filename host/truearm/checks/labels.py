@@ -146,7 +146,7 @@ def scores(
     table: ObservationTable,
     labels: Indices,
     possible: Sequence[Labels],
-    every_subset: bool = True,
+    every_subset: bool,
 ) -> Floats | None:
     """Return the robust log-likelihood (l, n) of each row under each possible label, the last of which is none.
 

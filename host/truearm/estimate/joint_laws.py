@@ -28,7 +28,7 @@ from truearm.estimate.identify import determined, judged, merged
 from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import candidates, gravity_of, law_priors
 from truearm.estimate.law_choice import LawChoice, regions, supported, without_absent
-from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
+from truearm.estimate.law_curves import sampled_curves, sine_amplitudes, strongest_periods
 from truearm.estimate.law_fit import JOINT_NOISE, LawProblem, law_problem, learn, nearer_geometry, posterior, scatter_of
 from truearm.estimate.outliers import matter, misfit, single, within
 from truearm.estimate.pose_noise import PoseNoise
@@ -220,7 +220,7 @@ class _Work:
         rows = np.flatnonzero(self.geometry.fitted)
         return in_any_pose(self.chain, self.table.select(rows[thinned(rows.size, LEAST_POSES)]))
 
-    def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...] = ()) -> Problem:
+    def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...]) -> Problem:
         """Compile the fitted rows, and those left out of the fit as outliers, for a robot with laws and further effects."""
         chain, prior, fitted = with_laws(self.chain, laws), self.request.prior_sigma, self.geometry.fitted
         prior = np.append(prior, np.full(len(chain.parameters) - prior.size, np.inf))
@@ -265,7 +265,7 @@ class _Work:
         acts = columns[laws_problem.columns]
         root = covariance_root(fitted.covariance[np.ix_(acts, acts)])
         rows = row_errors(
-            self.rows(laws_problem.laws), fitted.x, columns, root, weight, laws_problem.pose, learned.noise
+            self.rows(laws_problem.laws, ()), fitted.x, columns, root, weight, laws_problem.pose, learned.noise
         )
         freedom = geometry.rank + fitted.freedom
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
@@ -341,20 +341,18 @@ def _tried(
     chain: Chain, law: Law, nats: float, kept: Sequence[Law], value: Floats, q: Floats, anywhere: Floats
 ) -> TriedLaw:
     """Return what became of a law; ``q`` (n, j) are the fitted readings, ``anywhere`` (m, j) random ones."""
-    term = Curve.name if isinstance(law, CurveKnots) else Sag.name
-    joint = chain.joints[law.joint].name
+    kind, joint = Curve if isinstance(law, CurveKnots) else Sag, chain.joints[law.joint].name
     if law not in kept:
-        return TriedLaw(joint, term, nats, kept=False)
+        return TriedLaw(joint, kind.name, nats, kept=False)
     whole = with_laws(chain, kept)
     params = value[: len(whole.parameters)]
-    kind = Curve if isinstance(law, CurveKnots) else Sag
     added = kind.of_chain(whole).value(params, q.T)[law.joint]
-    tried = TriedLaw(joint, term, nats, True, float(added.std()))
+    tried = TriedLaw(joint, kind.name, nats, True, float(added.std()))
     if kind is Sag:
         every = np.append(added, kind.of_chain(whole).value(params, anywhere.T)[law.joint])
         if every.any():  # a joint may have the torque of a payload alone, of which the chain has none
             tried = replace(tried, range_share=float(np.ptp(added) / np.ptp(every)))
-    for curve in sampled_curves(whole, [law], params, np.zeros((params.size, params.size))):
-        periods, resolution = strongest_periods(curve), spectrum(curve).resolution
-        tried = replace(tried, covered=curve.intervals, periods=periods, resolution_cycles=resolution)
-    return tried
+        return tried
+    (curve,) = sampled_curves(whole, [law], params, np.zeros((params.size, params.size)))
+    periods, resolution = strongest_periods(curve), sine_amplitudes(curve).resolution
+    return replace(tried, covered=curve.intervals, periods=periods, resolution_cycles=resolution)

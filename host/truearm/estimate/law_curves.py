@@ -69,16 +69,16 @@ def law_readings(law: CurveKnots) -> Floats:
     return np.linspace(law.first, high, max(2, math.ceil((high - law.first) / STEP) + 1))
 
 
-def spectrum(curve: SampledCurve) -> SineAmplitudes:
-    """Return the spectrum of a curve over its covered readings."""
-    return _spectrum(curve, curve.error)[0]
+def sine_amplitudes(curve: SampledCurve) -> SineAmplitudes:
+    """Return the amplitudes of the sines of a curve over its covered readings."""
+    return _sine_amplitudes(curve, curve.error)[0]
 
 
 def strongest_periods(curve: SampledCurve) -> tuple[Period, ...]:
     """Return the strongest sines of a curve over its covered readings, each removed before the search for the next."""
     remaining, periods = curve.error.copy(), list[Period]()
     for _ in range(PERIODS):
-        sines, waves = _spectrum(curve, remaining)
+        sines, waves = _sine_amplitudes(curve, remaining)
         distance = np.abs(np.subtract.outer(sines.cycles, [period.cycles for period in periods]))
         resolved = np.flatnonzero((distance >= sines.resolution).all(axis=1))
         if not resolved.size or not sines.amplitude[resolved].max() > 0.0:
@@ -89,8 +89,8 @@ def strongest_periods(curve: SampledCurve) -> tuple[Period, ...]:
     return tuple(periods)
 
 
-def _spectrum(curve: SampledCurve, error: Floats) -> tuple[SineAmplitudes, Floats]:
-    """Return the spectrum of an error (n,) at the covered readings, and each sine there (m, k).
+def _sine_amplitudes(curve: SampledCurve, error: Floats) -> tuple[SineAmplitudes, Floats]:
+    """Return the amplitudes of the sines in an error (n,) at the covered readings, and each sine there (m, k).
 
     Every sine is fitted together with a slow polynomial, whose part would otherwise pass for the lowest cycles.
     """

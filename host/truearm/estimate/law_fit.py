@@ -67,9 +67,8 @@ REVIVED = 0.03  # of the cap: least √v where learning starts, because zero is 
 STEPS = 8  # of the variances, for one noise
 
 _pstrf = get_lapack_funcs("pstrf", dtype=np.float64)
-LEVEL = (
-    0.05  # of the limit; variances cannot be negative, so noise of the sensors passes for the arm's in 1 of 300 fits
-)
+# Of the limit. Variances cannot be negative, so noise of the sensors passes for the arm's in 1 of 300 fits.
+LEVEL = 0.05
 LEAST_SHARE = 0.5  # of the rows must share their pose with others
 JOINT_NOISE = 1e-4  # rad, initial value
 
@@ -88,7 +87,7 @@ class Seen(NamedTuple):
     rhs: Floats
 
 
-class Weighed(NamedTuple):
+class ModesAt(NamedTuple):
     """f at given variances: the log evidence [nats] relative to that without laws, and the factors of z and V."""
 
     x: Floats  # (r, f)
@@ -108,13 +107,13 @@ def seen_by(information: Floats, rhs: Floats, prior: ModePrior) -> Seen:
     return Seen(root, solve_lower(lower[:rank], (scale * rhs)[order[:rank]]))
 
 
-def weigh(data: Seen, sizes: Floats) -> Weighed:
+def modes_at(data: Seen, sizes: Floats) -> ModesAt:
     """Return f at the prior variances ``sizes`` (f,)."""
     half = np.sqrt(sizes)[:, None] * data.root
     lower, y, nats = _evidence(data, half.T @ half)
     # On its own the transpose is in LAPACK's order, which takes half the time of one array with the right side.
     x = solve_lower(lower, data.root.T)
-    return Weighed(x, x.T @ y, nats)
+    return ModesAt(x, x.T @ y, nats)
 
 
 def nats_of(data: Seen, sizes: Floats, number: Indices) -> list[float]:
@@ -140,19 +139,19 @@ def solve_lower(lower: Floats, right_side: Floats) -> Floats:
     return np.asarray(scipy.linalg.solve_triangular(lower, right_side, lower=True, check_finite=False))
 
 
-def learned(data: Seen, prior: ModePrior, variances: Floats, steps: int = STEPS) -> Floats:
-    """Return the variances (v,) that maximise the evidence with the hyperprior, at most ``steps`` from where they are."""
+def learned(data: Seen, prior: ModePrior, variances: Floats) -> Floats:
+    """Return the variances (v,) that maximise the evidence with the hyperprior, at most STEPS from where they are."""
     from scipy.optimize import minimize  # slow to import, and large
 
     def cost(size: Floats) -> tuple[float, Floats]:
-        weighed = weigh(data, (size * prior.cap) ** 2 @ prior.spectra)
-        slope = prior.spectra @ (weighed.z**2 - (weighed.x**2).sum(axis=0))
-        return 0.5 * float(size @ size) - weighed.nats, size * (1.0 - prior.cap**2 * slope)
+        modes = modes_at(data, (size * prior.cap) ** 2 @ prior.spectra)
+        slope = prior.spectra @ (modes.z**2 - (modes.x**2).sum(axis=0))
+        return 0.5 * float(size @ size) - modes.nats, size * (1.0 - prior.cap**2 * slope)
 
     if not variances.size:
         return variances
     start = np.maximum(np.sqrt(variances) / prior.cap, REVIVED)
-    options = {"maxiter": steps, "ftol": 1e-5}
+    options = {"maxiter": STEPS, "ftol": 1e-5}
     optimum = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * start.size, options=options)
     return np.asarray((optimum.x * prior.cap) ** 2)
 
@@ -356,21 +355,21 @@ def _data(problem: LawProblem, x: Floats, rows: Iterable[RowsByPose], noise: Pos
 def _posterior(problem: LawProblem, x: Floats, data: _Data, variances: Floats) -> Posterior:
     """Return x and its covariance for variances (v,); the rows may have had fewer columns of laws."""
     sizes = variances @ problem.prior.spectra
-    weighed = weigh(data.seen, sizes)
+    at_sizes = modes_at(data.seen, sizes)
     by_g, law = problem.sigma[:, None], problem.is_law
     modes = np.concatenate([by_g * data.by_mode, problem.basis]) * sizes
-    away = modes @ weighed.x.T
+    away = modes @ at_sizes.x.T
     half = modes / np.where(sizes > 0.0, np.sqrt(sizes), 1.0)
     covariance = half @ half.T - away @ away.T
     geometry, count = by_g * data.root, by_g.size
     covariance[:count, :count] += geometry @ geometry.T
     order = np.argsort(np.argsort(law, kind="stable"), kind="stable")
-    value = modes @ weighed.z
+    value = modes @ at_sizes.z
     value[:count] += problem.sigma * data.g
     out = x.copy()
     out[problem.columns] = problem.reference[problem.columns] + value[order]
-    freedom = float(sizes @ (weighed.x**2).sum(axis=0))
-    return Posterior(out, covariance[np.ix_(order, order)], data.evidence + weighed.nats, freedom)
+    freedom = float(sizes @ (at_sizes.x**2).sum(axis=0))
+    return Posterior(out, covariance[np.ix_(order, order)], data.evidence + at_sizes.nats, freedom)
 
 
 def nearer_geometry(problem: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:

@@ -28,7 +28,7 @@ DAMPING_START = 1e-4
 DAMPING_MIN = 1e-14
 DAMPING_MAX = 1e10
 REFUSED = 4.0  # Rosenbrock's valley needs a quarter of the linearisations that it needs with 10, with the rule above
-STRAIGHT = 1e-3
+FAST_DECAY = 1e-3  # of λ after a step that was predicted well
 CORRECTORS = 3  # of Damping
 RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
@@ -110,14 +110,14 @@ def minimise(
             )
         if ends is not None and ends.reached(so_far, float(promised @ promised)):
             return Minimum(x, "max_iterations", "further iterations are of no use", iteration, current)
-        delta, _ = step(decomposition, promised, 0.0)
+        delta, _ = damped_step(decomposition, promised, 0.0)
         if np.linalg.norm(decomposition.scale * delta) <= STEP_END * np.linalg.norm(decomposition.scale * x):
             return Minimum(x, "converged", "the step is below rounding", iteration, current)
         if iteration == max_iterations:
             break
         refused, rounding = False, promised @ promised <= ROUNDING_END**2
         while True:
-            delta, predicted = step(decomposition, promised, lam)
+            delta, predicted = damped_step(decomposition, promised, lam)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 goal = x
                 for _ in range(1 if rounding else 1 + correctors):  # χ² may be NaN after a diverging step
@@ -127,7 +127,7 @@ def minimise(
                     if chi2 < current.chi2 or not _finite(trial):
                         break
                     back = spectrum(trial.root)
-                    delta, _ = step(back, promise(back, trial.rhs), 0.0)
+                    delta, _ = damped_step(back, promise(back, trial.rhs), 0.0)
             if chi2 < current.chi2:
                 break
             refused = True
@@ -158,7 +158,7 @@ def _too_few(iterations: int) -> str:
 def after_step(damping: float, gain: float, refused: bool) -> float:
     """Return λ after a step that achieved the part ``gain`` of the predicted reduction; ``refused``: a smaller λ failed."""
     gain = min(gain, 1.0)  # if almost no gain was predicted, a larger ratio means only that the model was correct
-    damping *= STRAIGHT if gain > 0.9 and not refused else max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+    damping *= FAST_DECAY if gain > 0.9 and not refused else max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
     return max(damping, DAMPING_MIN) if damping else 0.0
 
 
@@ -167,7 +167,7 @@ def promise(decomposition: Spectrum, rhs: Floats) -> Floats:
     return np.where(seen(decomposition), decomposition.u.T @ rhs, 0.0)
 
 
-def step(decomposition: Spectrum, promised: Floats, damping: float) -> tuple[Floats, float]:
+def damped_step(decomposition: Spectrum, promised: Floats, damping: float) -> tuple[Floats, float]:
     """Return Δ (k,) for a damping λ, and the reduction of χ² that the linearised problem predicts."""
     identifiable = promised != 0.0
     filtered = np.zeros_like(promised)

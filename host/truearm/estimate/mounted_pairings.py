@@ -116,7 +116,7 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     transitions, log_words = _course(words, pairings)
     fits = (_Fit(chain, rig, readings, pairings, free, prior) for prior in (weak_prior(chain), wide_prior(chain)))
     probabilities, evidences = zip(*(_annealed(fit, transitions, log_words) for fit in fits), strict=True)
-    by_words, _ = posterior(transitions, log_words, np.zeros_like(log_words), np.zeros_like(log_words))
+    by_words, _ = state_probabilities(transitions, log_words, np.zeros_like(log_words), np.zeros_like(log_words))
     return MountingChances(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)), by_words)
 
 
@@ -132,13 +132,13 @@ def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
 def _annealed(fit: _Fit, transitions: Sequence[Floats], log_words: Floats) -> tuple[Floats, float]:
     """Return state probabilities (n, k + 1) and their evidence, from fit and labels alternated under decreasing noise [m]."""
     nothing = np.zeros_like(log_words)
-    probability, evidence = posterior(transitions, log_words, nothing, nothing)
+    probability, evidence = state_probabilities(transitions, log_words, nothing, nothing)
     if not fit.readings.read.any():
         return probability, evidence
     for fit.noise in steps_of(NOISE, "comparing labels with the readings"):
-        probability, _ = posterior(transitions, log_words, *fit.densities(fit.judge(probability)))
+        probability, _ = state_probabilities(transitions, log_words, *fit.densities(fit.judge(probability)))
         fit.move(probability)
-    return posterior(transitions, log_words, *fit.densities(fit.judge(probability)))
+    return state_probabilities(transitions, log_words, *fit.densities(fit.judge(probability)))
 
 
 def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
@@ -187,7 +187,9 @@ def transition(wrong: Floats, wanted: Sequence[int], asked: bool) -> Floats:
     return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
-def posterior(transitions: Sequence[Floats], log_words: Floats, came: Floats, stayed: Floats) -> tuple[Floats, float]:
+def state_probabilities(
+    transitions: Sequence[Floats], log_words: Floats, came: Floats, stayed: Floats
+) -> tuple[Floats, float]:
     """Return the probability (n, s) of each state at each dwell (forward-backward algorithm), and the log-likelihood.
 
     ``transitions`` (s, s) lead to each dwell, the first from the mean over all states. ``log_words`` (n, s) are

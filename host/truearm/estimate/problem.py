@@ -260,9 +260,9 @@ def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
     return replace(problem, groups=tuple(groups))
 
 
-def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
-    """Yield the problem's observations, at most ``size`` at once, and fewer if the robot has more than WIDE parameters."""
-    size = max(1, min(size, BLOCK * WIDE // problem.n_robot)) if problem.n_robot > WIDE else size
+def blocks(problem: Problem) -> Iterator[Group]:
+    """Yield the problem's observations, at most BLOCK at once, and fewer if the robot has more than WIDE parameters."""
+    size = max(1, BLOCK * WIDE // max(problem.n_robot, WIDE))
     for group in problem.groups:
         yield from pieces(group, size)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.information import Information, covariance, fold, observe, spectrum, with_prior
-from truearm.estimate.levenberg_marquardt import promise, step
+from truearm.estimate.levenberg_marquardt import damped_step, promise
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Options, Solution, prior_error, whole
 from truearm.types import Floats
@@ -37,7 +37,7 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
             break
         root, rhs = _fused(prior, prior @ error, data)
         decomposition = spectrum(root)
-        delta, _ = step(decomposition, promise(decomposition, rhs), 0.0)
+        delta, _ = damped_step(decomposition, promise(decomposition, rhs), 0.0)
         x_next = whole(x, columns, x[columns] + delta)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             data_next = observe(problem, x_next, columns)

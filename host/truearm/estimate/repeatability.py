@@ -30,8 +30,8 @@ from truearm.errors import ProblemError
 from truearm.text import counted
 from truearm.types import Floats, Ints
 
-LEVEL = 0.95
-TAILS = np.array([0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+CONFIDENCE = 0.95
+TAILS = np.array([0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
 MISFIT = 1e-3  # a smaller probability of the lack of fit is reported
 SAME_POSE = 2e-3  # rad or m in each joint; servo and settling errors are far smaller, and poses differ by more
 LEAST_FREEDOM = 5.0  # of an Allan deviation
@@ -130,12 +130,12 @@ def repeatability(visits: Visits) -> Repeatability:
     )
 
 
-def poses_of(q: Floats, tolerance: float = SAME_POSE) -> Ints:
-    """Return the number (n,) of the pose of each visit: visits within the tolerance of a pose's first visit share it."""
+def poses_of(q: Floats) -> Ints:
+    """Return the number (n,) of the pose of each visit: visits within SAME_POSE of a pose's first visit share it."""
     pose = np.full(len(q), -1, dtype=np.int64)
     for i in range(len(q)):
         if pose[i] < 0:
-            is_near = np.all(np.abs(q - q[i]) <= tolerance, axis=1) & (pose < 0)
+            is_near = np.all(np.abs(q - q[i]) <= SAME_POSE, axis=1) & (pose < 0)
             pose[is_near] = pose.max() + 1
     return pose
 
@@ -156,7 +156,7 @@ def quantile_interval(values: Floats, share: float) -> Interval:
     values = values[np.isfinite(values)]
     if not values.size:
         return Interval(np.nan, np.nan, np.nan)
-    low, high = quantile_test(values, p=share).confidence_interval(LEVEL)
+    low, high = quantile_test(values, p=share).confidence_interval(CONFIDENCE)
     return Interval(
         float(np.quantile(values, share)), float(np.nan_to_num(low)), float(np.nan_to_num(high, nan=np.inf))
     )

@@ -38,10 +38,10 @@ from truearm.results import MOVES, Effect, Estimate, Gain, MeanChange, MeanError
 from truearm.types import Floats, Indices, Residuals, Rigs
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
-LEVEL = 0.99  # probability that a consistent session is reported as consistent
+CONFIDENCE = 0.99  # probability that a consistent session is reported as consistent
 FELT = 1e-6  # of the effect of a single parameter
 LEAST_FREEDOM = 1e-6  # share of a row's residuals that must remain for validation; rounding leaves 1e-12
-MEAN_LEVEL = 0.95  # of the interval of a mean error
+MEAN_CONFIDENCE = 0.95  # of the interval of a mean error
 LEAST_POSES = 2
 CHANCE = 0.05  # of poses that seem to differ
 SMALLEST = 1e-9  # m, rad: rounding of exact data is less
@@ -161,7 +161,7 @@ class Ways(NamedTuple):
 class Consistency(NamedTuple):
     """Consistency of the rows with declared noise and the calibration's covariance.
 
-    ``chi2`` with ``freedom`` degrees is at most ``limit`` with probability LEVEL if the robot is as identified.
+    ``chi2`` with ``freedom`` degrees is at most ``limit`` with probability CONFIDENCE if the robot is as identified.
     """
 
     chi2: float
@@ -196,7 +196,7 @@ def consistency(judgement: Judgement, covariance: Floats, unseen: Floats) -> Con
     if freedom < 1:
         return None
     chi2 = max(information.chi2 - float(reduction @ reduction), 0.0)
-    limit = float(special.chdtri(freedom, 1.0 - LEVEL))
+    limit = float(special.chdtri(freedom, 1.0 - CONFIDENCE))
     return Consistency(chi2, freedom, limit, Ways(columns, directions, spread.shape[1]))
 
 
@@ -247,7 +247,7 @@ def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str,
         n = by_pose.size
         if n < LEAST_POSES:
             continue
-        half = float(special.stdtrit(n - 1, (1.0 + MEAN_LEVEL) / 2.0) * by_pose.std(ddof=1) / np.sqrt(n))
+        half = float(special.stdtrit(n - 1, (1.0 + MEAN_CONFIDENCE) / 2.0) * by_pose.std(ddof=1) / np.sqrt(n))
         mean = float(by_pose.mean())
         means[unit] = MeanError(mean, max(mean - half, 0.0), mean + half, n, held_out)
     return means

@@ -136,10 +136,10 @@ def solve_semidefinite(matrix: Floats, vector: Floats) -> tuple[Floats, NDArray[
     return augmented[:, -1].T, regular
 
 
-def gate(width: NDArray[np.intp] | int, level: float = GATE_LEVEL) -> Floats:
-    """Return the squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
+def gate(width: NDArray[np.intp] | int) -> Floats:
+    """Return the squared distance that a clean row of ``width`` residuals exceeds with probability GATE_LEVEL."""
     widths, index = np.unique(width, return_inverse=True)
-    return np.asarray(special.chdtri(widths, level)[index])
+    return np.asarray(special.chdtri(widths, GATE_LEVEL)[index])
 
 
 def only(problem: Problem, included: NDArray[np.bool_]) -> Problem:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.circumstances import mountings, sessions
-from truearm.estimate.law_curves import SampledCurve, spectrum
+from truearm.estimate.law_curves import SampledCurve, sine_amplitudes
 from truearm.kinds.registry import kinds
 from truearm.kinds.table import ObservationTable
 from truearm.report import svg
@@ -286,7 +286,7 @@ def _over_readings(curve: SampledCurve) -> Figure:
 
 
 def _over_cycles(curve: SampledCurve) -> Figure | None:
-    cycles, amplitude, resolution = spectrum(curve)
+    cycles, amplitude, resolution = sine_amplitudes(curve)
     if not cycles.size:
         return None
     amplitude = MRAD.of(amplitude)
