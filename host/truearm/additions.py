@@ -34,13 +34,17 @@ def additions(group: str) -> Mapping[str, EntryPoint]:
 
 
 @contextmanager
-def blamed(entry: EntryPoint) -> Iterator[None]:
-    """Turn every exception while an entry point is loaded into a PlugInError that names it."""
+def blamed(place: str) -> Iterator[None]:
+    """Turn every exception while an addition is loaded into a PlugInError that names its ``place``."""
     try:
         yield
     except Exception as exc:
-        place = f"{entry.group}: {entry.name} = {entry.value!r}"
         raise PlugInError("wrong-plug-in", place=place, reason=f"{type(exc).__name__}: {exc}") from exc
+
+
+def place_of(entry: EntryPoint) -> str:
+    """Return how a message names an entry point."""
+    return f"{entry.group}: {entry.name} = {entry.value!r}"
 
 
 def with_additions(group: str, own: Mapping[str, Any], form: Callable[[Any], Any]) -> dict[str, Any]:
@@ -50,7 +54,7 @@ def with_additions(group: str, own: Mapping[str, Any], form: Callable[[Any], Any
     """
     registry = dict(own)
     for name, entry in additions(group).items():
-        with blamed(entry):
+        with blamed(place_of(entry)):
             if name in own:
                 raise ValueError("truearm has an entry of this name; choose another")
             registry[name] = form(entry.load())
@@ -62,7 +66,7 @@ def instance(kind: type) -> Callable[[Any], Any]:
 
     def form(item: Any) -> Any:
         if not isinstance(item, kind):
-            raise TypeError(f"it is not a {kind.__name__}")
+            raise TypeError(f"a {kind.__name__} is needed, not a {type(item).__name__}")
         return item
 
     return form

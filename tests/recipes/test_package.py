@@ -136,17 +136,30 @@ MISTAKES = {
         ("identify", "poses.csv", "--model", "ur9", "--rig", "rig.toml"),
         ["truearm.robots", "ur9"],
     ),
+    "a format without its function": (
+        *("def write(", "def writes("),
+        *(
+            ("export", "result.json", "--format", "screws", "--out", "w.json", "--over", "poses.csv"),
+            ["screws", "write"],
+        ),
+    ),
+    "a source without its function": (
+        *("def connect(", "def connects("),
+        ("record", "--box", "socket://127.0.0.1:1", "--address", "semicolons://127.0.0.1:1", "--out", "r.mcap"),
+        ["semicolons", "connect"],
+    ),
+    "a term of another class": ("TERM = Spring", "TERM = Structure", POSES, ["truearm.joint_terms", "spring"]),
 }
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_one_line(mistake, site, work, tmp_path):
+def test_a_mistake_is_one_line(mistake, site, work, said, tmp_path):
     before, after, command, words = MISTAKES[mistake]
     wrong = Copy(tmp_path / "copy", ())
     shutil.copytree(site, tmp_path / "site")
     wrong.folder, wrong.paths = work.folder, [tmp_path / "site"]
-    files = (*(tmp_path / "site").glob("*/inclinometer.py"), *(tmp_path / "site").glob("*/entry_points.txt"))
-    (path,) = (file for file in files if before in file.read_text(encoding="utf-8"))
+    files = [file for glob in ("inclinometer.py", "*.*") for file in (tmp_path / "site").glob(f"*/{glob}")]
+    path = next(file for file in files if before in file.read_text(encoding="utf-8"))
     path.write_text(path.read_text(encoding="utf-8").replace(before, after), encoding="utf-8")
     said = wrong.python("-c", MAIN, *command, code=2)
     assert said.err.count("\n") == 1

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.additions import blamed, instance
 from truearm.errors import RobotError
 from truearm.export.formats import FORMATS, Format
 from truearm.model import joint_law
@@ -163,7 +164,8 @@ Writer = Callable[[RobotToWrite], str]
 def writer(name: str) -> Writer:
     """Return the function that writes a format, loading its module. Raises KeyError for an unknown name."""
     module, _, function = FORMATS[name].writer.partition(":")
-    write: Writer = getattr(import_module(module, __package__), function)
+    with blamed(f"format {name}"):
+        write: Writer = getattr(import_module(module, __package__), function)
     return write
 
 
@@ -183,6 +185,8 @@ class FormatFit(NamedTuple):
 def written(name: str, robot: RobotToWrite) -> str:
     """Return the text of the format called ``name``. Raises RobotError for a robot that it cannot hold."""
     text = writer(name)(robot)
+    with blamed(f"format {name}"):
+        instance(str)(text)
     for term in robot.chain.law.moving:
         neutral = np.array(robot.params)
         neutral[term.parameters] = term.neutral

@@ -22,7 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from truearm.additions import instance, with_additions
+from truearm.additions import with_additions
 from truearm.model.chain_structure import Structure, completed
 from truearm.model.joint_terms.term import Gain, Offset, Term
 from truearm.types import Floats
@@ -38,12 +38,18 @@ STEP_END = 1e-13  # of the readings, rad, m
 GOOD = 1e-9  # rad, m: largest error of a valid inverse
 
 
+def _term(item: type[Term]) -> type[Term]:
+    if not issubclass(item, Term):
+        raise TypeError("it is not a subclass of Term")
+    return item
+
+
 @cache
 def terms() -> tuple[type[Term], ...]:
     """Return offset, gain and the terms of TERM_FILES, then those of other packages (entry points "truearm.joint_terms")."""
     further = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
     bundled = {"offset": Offset, "gain": Gain, **further}
-    return tuple(with_additions("joint_terms", bundled, instance(type)).values())
+    return tuple(with_additions("joint_terms", bundled, _term).values())
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from truearm.additions import additions, blamed
+from truearm.additions import additions, blamed, place_of
 from truearm.disk import read_text
 from truearm.errors import Argument, RobotError
 
@@ -49,7 +49,7 @@ def builtin_text(name: str) -> str:
     if bundled.is_file():
         return bundled.read_text("utf-8")
     entry = additions("robots")[name]
-    with blamed(entry):
+    with blamed(place_of(entry)):
         return resources.files(entry.load()).joinpath(name + SUFFIX).read_text("utf-8")
 
 

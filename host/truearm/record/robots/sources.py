@@ -15,8 +15,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple
 
-from truearm.additions import with_additions
-from truearm.errors import InputError
+from truearm.additions import blamed, with_additions
+from truearm.errors import InputError, PlugInError
 
 if TYPE_CHECKING:
     from truearm.record.links import Clock, Link, Reopening
@@ -101,12 +101,15 @@ def open_source(url: str, clock: Clock) -> Reopening:
     from truearm.record.links import Reopening
 
     scheme = check_address(url)
-    connect: Callable[[str, Clock, Link | None], Link] = _module(SOURCES[scheme].module).connect
+    with blamed(f"joint source {scheme}"):
+        connect: Callable[[str, Clock, Link | None], Link | None] = _module(SOURCES[scheme].module).connect
     last: Link | None = None
 
     def open_link() -> Link:
         nonlocal last
         last = connect(url, clock, last)
+        if last is None:
+            raise PlugInError("wrong-plug-in", place=f"joint source {scheme}", reason="connect() returns no link")
         return last
 
     return Reopening(open_link)
