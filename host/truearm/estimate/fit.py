@@ -87,10 +87,10 @@ def _callbacks(
 ) -> tuple[Callable[[Floats], Information], Callable[[Floats, Floats], float] | None]:
     """Return ``linearise`` and ``cost`` for ``lm.minimise``."""
 
-    def data_at(weighted: Problem, point: Floats, columns: NDArray[np.bool_]) -> Information:
+    def data_at(weighted: Problem, point: Floats, free: NDArray[np.bool_]) -> Information:
         if loss is Loss.LINEAR:
-            return observe(weighted, point, columns)
-        return observe_robustly(weighted, point, columns, loss)[0]
+            return observe(weighted, point, free)
+        return observe_robustly(weighted, point, free, loss)[0]
 
     def linearised(weighted: Problem, unknowns: Floats) -> Information:
         point = whole(x, columns, unknowns)

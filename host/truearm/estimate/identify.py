@@ -1,4 +1,4 @@
-"""Identify an Estimate from a table of observations. Validates input, calls a solver and analyses the null space."""
+"""One identification: the fit by a solver, outliers, what the rows determine, and errors on rows left out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,7 @@ from truearm.estimate.validation import judge_problem, mean_errors
 from truearm.estimate.whitened_rows import only, weighted_chi2
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
+from truearm.results import Addition, Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, Observability
 from truearm.types import Floats, Indices, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 
@@ -137,8 +137,8 @@ def identify(
     prior = problem.prior_sigma.copy()
     prior[columns] = solution.prior_sigma
     return Estimate(
-        **sight,
-        **_errors(task, nominal, solution, quality),
+        **sight._asdict(),
+        **_errors(task, nominal, solution, quality)._asdict(),
         status=solution.status,
         message=solution.message,
         solver=options.solver,
@@ -147,7 +147,7 @@ def identify(
         units=problem.units,
         nominal=problem.start,
         value=x,
-        sigma=np.sqrt(np.where(sight["identifiable"], np.diag(covariance), np.nan)),
+        sigma=np.sqrt(np.where(sight.identifiable, np.diag(covariance), np.nan)),
         free=columns,
         covariance=covariance,
         n_robot_parameters=problem.n_robot,
@@ -315,8 +315,22 @@ def _quality(task: _Task, solution: Solution, is_complete: bool, judge: Judge, o
     return _Quality(quality, bad, rows, only(problem, solution.weight > 0.0))
 
 
-def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> dict[str, Any]:
-    """Return fields of the estimate: what the rows of the fitted problem determine, linearised at its solution."""
+class _Sight(NamedTuple):
+    """Fields of the estimate: what the rows determine."""
+
+    rank: int
+    rank_gap: float
+    null_space: tuple[NullDirection, ...]
+    unseen: Floats
+    identifiable: NDArray[np.bool_]
+    suggested_free: NDArray[np.bool_]
+    observability: Observability
+    hardly_seen: tuple[NullDirection, ...]
+    additions: tuple[Addition, ...]
+
+
+def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> _Sight:
+    """Return what the rows of the fitted problem determine, linearised at its solution."""
     x, columns, n_free = solution.x, task.columns, int(task.free.sum())
     still, data = settled(fitted_problem, x), solution.information
     if still is not fitted_problem or not np.array_equal(solution.prior_sigma, task.problem.rig_prior[columns]):
@@ -330,26 +344,33 @@ def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> dict[str
     wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     values = dict(zip(task.problem.names, x, strict=True))
-    return {
-        "rank": sight.rank,
-        "rank_gap": sight.gap,
-        "null_space": sight.null_space,
-        "unseen": sight.unseen,
-        "identifiable": spread(sight.identifiable & ~np.isin(names, untimed), columns),
-        "suggested_free": spread(suggested, task.free),
-        "observability": observability(data.root, n_free, suggested, unit, data.n_residuals),
-        "hardly_seen": (*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
-        "additions": additions(
-            task.chain, task.rig, task.table.select(task.fitted), names, data.root, values, *wanting
-        ),
-    }
+    return _Sight(
+        rank=sight.rank,
+        rank_gap=sight.gap,
+        null_space=sight.null_space,
+        unseen=sight.unseen,
+        identifiable=spread(sight.identifiable & ~np.isin(names, untimed), columns),
+        suggested_free=spread(suggested, task.free),
+        observability=observability(data.root, n_free, suggested, unit, data.n_residuals),
+        hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
+        additions=additions(task.chain, task.rig, task.table.select(task.fitted), names, data.root, values, *wanting),
+    )
 
 
-def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Quality) -> dict[str, Any]:
-    """Return fields of the estimate: residuals, and errors where nothing was fitted.
+class _Errors(NamedTuple):
+    """Fields of the estimate: residuals, and errors where nothing was fitted, also of the nominal robot (``before``)."""
 
-    That is on held-out rows, or else on each pose in a fit without it; for the nominal robot too.
-    """
+    held_out: HeldOut | None
+    held_out_before: HeldOut | None
+    residual: Residuals
+    residual_before: Residuals
+    unfitted_error: Residuals
+    unfitted_error_before: Residuals
+    unexplained: Mapping[str, MeanError]
+
+
+def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Quality) -> _Errors:
+    """Return the residuals, and the errors on held-out rows, or if there are none on each pose in a fit without it."""
     fitted, held = task.fitted, task.held
     judge = partial(judged, task.problem, rig=task.rig, table=task.table, held=held, effects=task.effects)
     held_out_before, of_held_before = judge(nominal.x)
@@ -362,15 +383,15 @@ def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Qualit
     unexplained: Mapping[str, MeanError] = {}
     if not quality.fit.explained:
         unexplained = mean_errors(error, poses(task.table), held_out=held_out is not None)
-    return {
-        "held_out": held_out,
-        "held_out_before": held_out_before,
-        "residual": merged(solution.information.residual, of_held, fitted, held),
-        "residual_before": merged(nominal.residual, of_held_before, fitted, held),
-        "unfitted_error": error,
-        "unfitted_error_before": error_before if np.any(task.columns & ~nominal.mounts) else {},
-        "unexplained": unexplained,
-    }
+    return _Errors(
+        held_out=held_out,
+        held_out_before=held_out_before,
+        residual=merged(solution.information.residual, of_held, fitted, held),
+        residual_before=merged(nominal.residual, of_held_before, fitted, held),
+        unfitted_error=error,
+        unfitted_error_before=error_before if np.any(task.columns & ~nominal.mounts) else {},
+        unexplained=unexplained,
+    )
 
 
 def determined(problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats | None = None) -> Identifiability:
@@ -417,6 +438,7 @@ def judged(
 
 
 def merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:
+    """Return residuals of all n rows by unit: ``fitted`` in ``rows`` (n,), ``held_out`` in ``held`` (n,), else NaN."""
     units = [unit for unit in UNITS if unit in fitted or unit in held_out]
     return {unit: _merge(fitted.get(unit, np.nan), held_out.get(unit, np.nan), rows, held) for unit in units}
 

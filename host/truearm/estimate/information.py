@@ -6,9 +6,9 @@ Whitened rows [J | f] (each divided by its σ) are folded block by block into on
 
 so that JᵀJ = RᵀR and Jᵀf = Rᵀz, and memory does not grow with the number of poses. For J = W X, with X the same for all
 poses (model/chain.py), W is folded and the triangle is multiplied by X at the end. J itself is folded where X differs,
-as for a sensor on a link. The triangle keeps the condition
-number of J. The normal equations of Goswami's (10) would square it, and a rank test on them would have only half the
-digits. A prior adds the rows 1/σ with residuals (mean − x)/σ.
+as for a sensor on a link. The triangle keeps the condition number of J. The normal equations of Goswami's (10) would
+square it, and a rank test on them would have only half the digits. A prior adds the rows 1/σ with residuals
+(mean − x)/σ.
 """
 
 from __future__ import annotations
@@ -67,8 +67,9 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
     twists = folded(problem.chain, x[: problem.n_robot]).basis.twists[:, robot]
     moving = np.asarray(twists.any(axis=1))
     n_used, n_rig = int(moving.sum()), int(rig.sum())
-    b, k = n_used + n_rig + 1, twists.shape[1] + n_rig + 1
-    triangle, in_params = np.zeros((b, b), order="F"), np.zeros((k, k), order="F")
+    # Of [W | rig | residual] where X is the same for all poses, and of [J | residual] where it is not.
+    sizes = n_used + n_rig + 1, twists.shape[1] + n_rig + 1
+    triangle, in_params = (np.zeros((size, size), order="F") for size in sizes)
     residual = problem.no_residuals()
     chi2, count = 0.0, 0
     for block in blocks(problem):
