@@ -117,7 +117,7 @@ def test_covariance_is_the_inverse_of_the_information():
 def test_block_size_does_not_matter(monkeypatch):
     t = random_table(300, np.random.default_rng(6), SIGMA)
     whole = identify(CHAIN, RIG, t, free=FREE)
-    monkeypatch.setattr(problem_module.blocks, "__defaults__", (7,))
+    monkeypatch.setattr(problem_module, "BLOCK", 7)
     parts = identify(CHAIN, RIG, t, free=FREE)
     # Other order of rounding, eps times a condition of 1e4.
     np.testing.assert_allclose(parts.value, whole.value, atol=1e-11)
@@ -164,7 +164,7 @@ def test_a_sphere_of_few_rows_is_placed_by_all_of_them(monkeypatch, rows):
     rig = Rig(CHUCKS, {**SPHERES, "s1": s1}, BARS)
     before = []
     for many in (1000, 60):
-        monkeypatch.setattr(fit_module, "MANY", many)
+        monkeypatch.setattr(fit_module, "THINNED_TO", many)
         before.append(identify(CHAIN, rig, t, free=FREE).residual_before["m"])
     np.testing.assert_allclose(*map(rms, (before[0][rare], before[1][rare])), rtol=1e-3, atol=1e-7)
 
