@@ -30,20 +30,7 @@ from tests.host.puma_bench import CHAIN, DESIGN
 from truearm.model.chain import forward
 
 FRAMES = ("--work", "0,0,0,0,0,0", "--flange", "0,0,0,0,0,0")
-READ_ALONE = """
-import sys
-from pathlib import Path
-from truearm.correct.programs.census import Census
-from truearm.correct.programs.corrected_text import changed_files, changes_of, target_poses
-from truearm.correct.programs.languages import read_programs
-from truearm.correct.programs.program import Surroundings
-from truearm.correct.programs.tokens import Source
-(program,) = read_programs("rapid", [Source("p.mod", Path(sys.argv[1]).read_bytes())], Surroundings())
-census = Census(program, True)
-goals = [goal for move in program.moves for goal in move.goals]
-census.settle(wanted := dict(zip(goals, target_poses(goals))))
-Path(sys.argv[2]).write_bytes(changed_files(program, changes_of(census, wanted, {}, True))[0])
-"""
+READ_ALONE = Path(__file__).parent / "workers" / "read_rapid.py"
 
 
 def main(n: int) -> None:
@@ -61,7 +48,7 @@ def main(n: int) -> None:
             command = ("-m", "truearm", "correct", folder / "result.json", folder / file, "--out", out, *frames)
             show(file, n, len(text), command)
         (folder / "program.mod").write_text(text := module(pose, q))
-        show("program.mod, text alone", n, len(text), ("-c", READ_ALONE, folder / "program.mod", folder / "out.mod"))
+        show("program.mod, text alone", n, len(text), (READ_ALONE, folder / "program.mod", folder / "out.mod"))
 
 
 def show(what: str, n: int, size: int, command: tuple[object, ...]) -> None:

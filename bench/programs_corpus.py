@@ -62,6 +62,9 @@ def main(folder: Path) -> None:
     for language in SUFFIXES:
         folders = [folder / kind / name for kind, name in repositories if kind == language]
         programs = [files for path in folders for files in groups(language, path) if files]
+        if not programs:
+            print(f"{language}: no programs in {folder}; copy repositories of {Path(__file__).stem}.csv there")
+            continue
         codes = [counts(language, files) for files in programs]
         total = sum(codes, Counter[str]())
         whole = sum(count.keys() == {""} for count in codes)
