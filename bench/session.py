@@ -213,7 +213,7 @@ def renumbered(message: Message, seq: int) -> Message:
 def show(name: str, path: Path) -> None:
     session = open_session(path)
     batches = list(islice(session.batches(), JOINT_BATCHES))
-    lines = [m.data for messages in batches for m in messages.of(messages.rows(lambda topic: topic == JOINTS))]
+    lines = [m.data for messages in batches for m in messages.one_by_one(messages.rows(lambda topic: topic == JOINTS))]
     stages: dict[str, Callable[[], Any]] = {
         "unpacking alone": lambda: unpacked(session),
         "open and check the file": lambda: open_session(path),

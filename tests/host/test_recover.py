@@ -236,7 +236,7 @@ def recording_of(path, seconds):
     return SimpleNamespace(
         whole=path.read_bytes(),
         metadata=session.metadata,
-        holds=[list(messages.of(np.arange(len(messages)))) for messages in columns],
+        holds=[list(messages.one_by_one(np.arange(len(messages)))) for messages in columns],
         bytes=np.array([(c.chunk_start_offset, c.chunk_start_offset + c.chunk_length) for c in chunks]),
         log_ns=np.array([(c.message_start_time, c.message_end_time) for c in chunks]),
     )
