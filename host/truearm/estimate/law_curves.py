@@ -90,7 +90,7 @@ def strongest_periods(curve: SampledCurve) -> tuple[Period, ...]:
 
 
 def _sine_amplitudes(curve: SampledCurve, error: Floats) -> tuple[SineAmplitudes, Floats]:
-    """Return the amplitudes of the sines in an error (n,) at the covered readings, and each sine there (m, k).
+    """Return the amplitudes of m sines in an error (n,) at its r covered readings, and each sine at these (m, r).
 
     Every sine is fitted together with a slow polynomial, whose part would otherwise pass for the lowest cycles.
     """

@@ -126,7 +126,7 @@ def nats_of(data: Seen, sizes: Floats, number: Indices) -> list[float]:
 
 
 def _evidence(data: Seen, square: Floats) -> tuple[Floats, Floats, float]:
-    """Return L (r, r), L⁻¹β (r,) and the log evidence, from Gᵀ S G (r, r)."""
+    """Return L (r, r) with L Lᵀ = I + Gᵀ S G, L⁻¹β (r,) and the log evidence [nats]; ``square`` (r, r) is Gᵀ S G."""
     lower = np.asarray(np.linalg.cholesky(np.eye(data.rhs.size) + square), dtype=float)
     y = solve_lower(lower, data.rhs)
     return lower, y, 0.5 * float(data.rhs @ data.rhs - y @ y) - float(np.log(np.diag(lower)).sum())

@@ -58,7 +58,10 @@ def stepper(problem: Problem, columns: NDArray[np.bool_]) -> Step:
 
 
 def _free_triples(columns: NDArray[np.bool_], candidates: Sequence[Indices]) -> Indices:
-    """Return the indices (r, 3) in x[columns] of those triples in x that are unknown and free."""
+    """Return the indices (r, 3) in x[columns] of those ``candidates`` (·, 3) that are free parameters, each once.
+
+    Candidates are triples of indices in x (P,), or from P on for numbers that are known.
+    """
     triples = np.concatenate([np.zeros((0, 3), dtype=np.intp), *candidates])
     free = triples[np.append(columns, False)[np.minimum(triples, columns.size)].all(axis=1)]
     return np.asarray((np.cumsum(columns) - 1)[free[first_alike(free.T)[0]]])

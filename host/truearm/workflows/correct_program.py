@@ -360,13 +360,13 @@ def _label(programs: Sequence[Program], number: int, place: Place) -> str:
 
 
 def _straight_moves(pair: ModelPair, programs: Sequence[Program], solution: Solution) -> CorrectedMoves:
-    """Simulate the straight moves between corrected targets."""
+    """Simulate the straight moves between corrected targets, from origins at which the joint readings are known."""
     visits = enumerate(solution.visits[: solution.n_poses])
-    straight = [(row, *visit) for row, visit in visits if visit.move.straight and visit.move.reason is None]
+    straight = [(row, visit) for row, visit in visits if visit.move.straight and visit.move.reason is None]
     # What was refused stands as it was, so the arm drives there as before the correction.
     q = {goal: np.where(np.isnan(ends.after), ends.before, ends.after) for goal, ends in solution.joints.items()}
     lost = {goal for goal, readings in q.items() if np.isnan(readings).any()}
-    moves = [(row, number, move, origin) for row, number, move, _, origin in straight if origin and origin not in lost]
+    moves = [(row, visit, visit.origin) for row, visit in straight if visit.origin and visit.origin not in lost]
     if not moves or len(moves) > MOST_MOVES:
         return CorrectedMoves(unchecked=len(straight))
     rows = [row for row, *_ in moves]
@@ -374,8 +374,8 @@ def _straight_moves(pair: ModelPair, programs: Sequence[Program], solution: Solu
     simulated = straight_moves(
         pair, pair.chain.completed(starts), solution.correction.commanded[rows], solution.tools[rows]
     )
-    ends = tuple(_label(programs, number, move.place) for _, number, move, _ in moves)
-    begins = tuple(_label(programs, number, origin.target.literal.place) for _, number, _, origin in moves)
+    ends = tuple(_label(programs, visit.program, visit.move.place) for _, visit, _ in moves)
+    begins = tuple(_label(programs, visit.program, origin.target.literal.place) for _, visit, origin in moves)
     return CorrectedMoves(ends, begins, simulated, len(straight) - len(moves))
 
 

@@ -91,10 +91,10 @@ class Corrected(NamedTuple):
 def _expected_errors(
     calibration: Calibration, pair: ModelPair, q: Floats, tools: Floats
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Return the expanded uncertainty (n, 2) [m, rad] of tools (n, 4, 4) at joint readings (n, j), and what it is relative to.
+    """Return the expanded uncertainty (n, 2) [m, rad] of tools (n, 4, 4) at readings q (n, j), relative to which frames.
 
-    It is from covariance and unexplained error, NaN if unknown, and excludes the poses of the frames ("base", "tool").
-    The mountings of ``pair`` were removed.
+    It is that of covariance and unexplained error, NaN if unknown. Errors in the poses of these frames ("base", "tool")
+    are not part of it. Tools are relative to the flange of ``pair``.
     """
     points = (inverted(pair.mountings.tool) @ tools)[:, :3, 3]
     is_own_base = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)

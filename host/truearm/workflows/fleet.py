@@ -147,10 +147,10 @@ def identify_fleet(folders: Sequence[Path], options: FleetOptions) -> list[Arm]:
     if options.out is not None:
         check_writable(options.out, kind="fleet")  # a rerun replaces its table
     rows: dict[str, Arm] = {}
-    with workers(options, len(homes)) as killed, step(f"identifying {counted(len(homes), 'arm')}") as advance:
-        for _ in range(RUNS):
+    with workers(options, len(homes)) as worker_killed, step(f"identifying {counted(len(homes), 'arm')}") as advance:
+        for _ in range(RUNS):  # a killed worker ends a run; the next one takes the arms that are missing
             jobs = [delayed(identified_arm)(home, options) for home in homes if str(home) not in rows]
-            with suppress(killed):
+            with suppress(worker_killed):
                 for row in Parallel(return_as="generator_unordered")(jobs) if jobs else ():
                     rows[row.arm] = row
                     advance(len(rows) / len(homes))

@@ -151,6 +151,7 @@ def _silences(contents: Contents, survey: Survey) -> dict[str, Any]:
 
 
 def _robot(survey: Survey, contents: Contents) -> dict[str, Any]:
+    """Return how many readings of the robot there are, what is wrong with them, and how their clock was related."""
     joints = survey.joints
     names = ("readings", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz")
     return {

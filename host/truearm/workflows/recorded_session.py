@@ -427,8 +427,6 @@ def coefficients(bar: BallBar) -> tuple[float, float]:
 
 
 def possible_error(bar: BallBar, warmer: float) -> float:
-    """Return the possible error of a length [m] if bar and sensor are warmer by these kelvins, at the end of the
-    stroke.
-    """
+    """Return the possible error [m] of a length at the end of the stroke if bar and sensor are ``warmer`` [K]."""
     expansion, drift = coefficients(bar)
     return abs(warmer) * (abs(expansion) * bar.zero + abs(drift) * 0.5 * bar.travel)

@@ -145,15 +145,15 @@ def _identified(judged: Judgement, stem: str, start: Floats) -> Floats:
 
 
 def _fixtures(rig: Rigs, judged: Judgement) -> dict[str, Floats]:
-    """Return chucks and sockets by name, in the base frame."""
-    places = {}
+    """Return chucks and sockets by name: points (3,) [m] in the base frame, as estimated where the rig does not know them."""
+    chucks = {}
     for name, entries in rigs_by_name(rig).items():
         prefix = f"{name}." if name else ""
         for label, chuck in entries.chucks.items():
-            places[f"{prefix}chuck.{label}"] = np.array(chuck.xyz)
+            chucks[f"{prefix}chuck.{label}"] = np.array(chuck.xyz)
     stems = {name[:-2] for name in judged.problem.names if name.endswith(".x")}
     sockets = {stem: np.zeros(3) for stem in sorted(stems) if "socket" in stem.split(".")[:2]}
-    return {stem: _identified(judged, stem, start) for stem, start in {**places, **sockets}.items()}
+    return {stem: _identified(judged, stem, start) for stem, start in {**chucks, **sockets}.items()}
 
 
 def _tools(rig: Rigs, judged: Judgement) -> Floats:

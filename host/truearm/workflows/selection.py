@@ -45,20 +45,23 @@ def held_out_rows(
     """
     if fit_only:
         not_fitted: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
-        also = held_out_rows(table, groups, seed)
-        held = not_fitted if also is None else not_fitted | also
+        by_groups = held_out_rows(table, groups, seed)
+        held = not_fitted if by_groups is None else not_fitted | by_groups
         if held.all():
             raise InputError("nothing-left", what="observations", place=FIT_ONLY)
         return held if held.any() else None
-    if isinstance(groups, np.ndarray) or not groups:
-        return groups if isinstance(groups, np.ndarray) else None
+    if isinstance(groups, np.ndarray):
+        return groups
+    if not groups:
+        return None
     fractions = [value for value in map(held_out_fraction, groups) if value is not None]
     if fractions and len(groups) > 1:
         raise InputError(HOLD_OUT, " takes one fraction or any number of groups, not both")
-    mask: Mask = np.any([_group_rows(table, group, HOLD_OUT) for group in groups if not fractions], axis=0)
     if fractions:
         rank = _pose_ranks(table, seed)
         mask = np.asarray(rank < round(fractions[0] * (int(rank.max()) + 1)))
+    else:
+        mask = np.any([_group_rows(table, group, HOLD_OUT) for group in groups], axis=0)
     if mask.all():
         raise InputError("nothing-left", what="observations", place=HOLD_OUT)
     if not mask.any():
@@ -313,8 +316,7 @@ LEAST_ROWS = 5  # of a kind, which must not all be equal
 
 
 def check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
-    """Raise ProblemError for ``rows`` (n,) without information: a single row, or readings that never change though the
-    robot moves.
+    """Raise ProblemError for ``rows`` (n,) without information: one row, or the same readings though the robot moves.
 
     A single coordinate of a point may stay the same while the end moves in a plane, but not while it moves in space.
     """

@@ -286,7 +286,7 @@ def parse_fault(text: str) -> Fault:
 def simulated_robot(
     model: RobotChoice, truth: TruthOptions, seed: int, branch: Branch | None = None
 ) -> tuple[Robot, Floats, Arm]:
-    """Return the robot, in the given branch, its true parameters (p,) and its arm, drawn from the truth's own seed or this one.
+    """Return the robot in a branch, its true parameters (p,) and its arm; drawn from ``seed``, or the truth's own seed.
 
     Raises InputError, and RobotError as ``load_robot`` does.
     """
