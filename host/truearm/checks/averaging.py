@@ -51,8 +51,8 @@ class Choice(NamedTuple):
 class Average:
     """The error of the k parameters, and of the tool by Γ = ``gram`` (k, k) [m²].
 
-    ``parameters`` (k, k) is their covariance by the noise of the rows, ``unnamed`` (k, u) a root of what faults add that
-    the rows neither show nor exclude. ``choices`` are the explanations of each finding, ``kernel`` is the noise.
+    ``parameters`` (k, k) is their covariance by the noise of the rows, ``unnamed`` (k, u) a root of what faults add
+    that the rows neither show nor exclude. ``choices`` are the explanations of each finding, ``kernel`` is the noise.
     """
 
     gram: Floats
@@ -102,8 +102,9 @@ class Average:
 def averaged(result: Search, gram: Floats, covariance: Floats) -> Average:
     """Return the averaged error of a search; ``covariance`` (k, k) is that of the fit.
 
-    If the noise was learned, the covariance is that which it gives to the same parameters, if the tool's error is larger.
-    Noise that rows do not share is as much less in the fit of all rows as that has more of them than were examined.
+    If the noise was learned, the covariance is that which it gives to the same parameters, if the tool's error is
+    larger. Noise that rows do not share is as much less in the fit of all rows as that has more of them than were
+    examined.
     """
 
     def tool(matrix: Floats) -> float:
@@ -149,8 +150,8 @@ def choice_of(
 ) -> Choice:
     """Return what the best candidate does to the parameters by their ``loading`` (k, d).
 
-    Its size is that of the ``design``, with a prior of a ``scale``, or the most probable one. A finding (``is_named``) is
-    as large in directions that the rows do not show as in those that they do, beside one typical size. Of so few
+    Its size is that of the ``design``, with a prior of a ``scale``, or the most probable one. A finding (``is_named``)
+    is as large in directions that the rows do not show as in those that they do, beside one typical size. Of so few
     directions that is Student's t: twice the stated deviation covers as often as that of a normal distribution.
     """
     most_probable = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
@@ -280,8 +281,8 @@ def unseen(result: Search, average: Average) -> dict[str, dict[str, float]]:
     """Return faults that need not show, and twice the stated error does not contain: their sizes by SI unit.
 
     Rows and a prior of the typical size give them a posterior, without a finding; HIDDEN standard deviations of it are
-    hidden. Of each kind and its units it is the least size of any hypothesis, in its median candidate: a step at the first
-    row is an offset. The kinds of findings are none.
+    hidden. Of each kind and its units it is the least size of any hypothesis, in its median candidate: a step at the
+    first row is an offset. The kinds of findings are none.
     """
     fitted, limit = result.as_fitted, 2.0 * average.error()
     values, vectors = np.linalg.eigh(fitted.root.T @ average.gram @ fitted.root)

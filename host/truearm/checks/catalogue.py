@@ -40,8 +40,8 @@ class Candidates(NamedTuple):
     """Profiles (c, n) by which an item's columns are multiplied over the rows.
 
     ``spans`` (c, 2) are the first row that each concerns and the one after the last. ``drifts`` are what each is linear
-    in, or its other shape. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few rows
-    begin or end many spans. ``among``: how many spans are equally probable, if these are not all of them.
+    in, or its other shape. Steps and runs are differences of ``profiles`` by their numbers in ``pairs`` (c, 2): few
+    rows begin or end many spans. ``among``: how many spans are equally probable, if these are not all of them.
     """
 
     profiles: Floats

@@ -243,9 +243,9 @@ def amount_of(
 ) -> tuple[Floats, Floats, Floats]:
     """Return by how much the best candidate is off with the prior of a scale, its uncertainty, and what is hidden.
 
-    That is β (d,) in typical sizes, a root (d, r) of its covariance, and a basis (d, d − r) of hidden directions, where β
-    is 0. Hidden are those of which the rows say less than the typical size does, unless the hypothesis ``is_named`` and
-    they are SHOWN.
+    That is β (d,) in typical sizes, a root (d, r) of its covariance, and a basis (d, d − r) of hidden directions, where
+    β is 0. Hidden are those of which the rows say less than the typical size does, unless the hypothesis ``is_named``
+    and they are SHOWN.
     """
     values, vectors, scores = (array[weighed.best] for array in weighed.moments)
     eigenvalues, scores = values / variance, scores / variance

@@ -239,8 +239,8 @@ def at_the_end(weighed: Weighed) -> Floats:
 def identity(weighed: Weighed) -> tuple[str, str, tuple[int, int] | None]:
     """Return the name of an explanation, that by which it is applied, and its rows [first, after last) of the user's table.
 
-    It is applied as an ``Effect``, which a fit can estimate, otherwise by its own name; "" if it has no remedy. The rows
-    are None for all of a session.
+    It is applied as an ``Effect``, which a fit can estimate, otherwise by its own name; "" if it has no remedy. The
+    rows are None for all of a session.
     """
     hypothesis, candidates, measured = (
         weighed.hypothesis,
@@ -277,7 +277,8 @@ def sizes_of(weighed: Weighed, design: Design) -> tuple[Size, ...]:
 def tool_gram(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False) -> Floats:
     """Return Γ (k, k) [m²]: the mean square motion of the measured points, over their poses, by the free parameters.
 
-    A motion of all points together does not count where the observations do not determine the base, or with ``any_base``.
+    A motion of all points together does not count where the observations do not determine the base, or with
+    ``any_base``.
     """
     poses = table.select(thinned(len(table), MOST_POSES))
     points, flat = measured_jacobian(chain, rig, poses, estimate)

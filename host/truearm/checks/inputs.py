@@ -113,8 +113,9 @@ def explanations_of(
 def other_set_up(original: Trial, bent: bool) -> tuple[tuple[Explanation, ...], int]:
     """Return the rows with other labels or another set-up, if the declared noise explains all others.
 
-    A joint that steps by a degree bends a fit too far for an analysis of first order, but leaves less than a millimetre.
-    Unless the fit is ``bent`` without outliers, only other labels explain these: rows between them that fit are not apart.
+    A joint that steps by a degree bends a fit too far for an analysis of first order, but leaves less than a
+    millimetre. Unless the fit is ``bent`` without outliers, only other labels explain these: rows between them that fit
+    are not apart.
     """
     labels, runs = relabelled(original.alternative)
     if not bent and labels.code != "wrong-labels":

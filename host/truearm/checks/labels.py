@@ -223,8 +223,8 @@ def robust_likelihood(square: Floats, scale: float) -> Floats:
 def best_labels(score: Floats) -> tuple[Indices, list[WrongLabels]]:
     """Return labels (n,) by their ``score`` (l, n), and the runs in which they are not 0, the rows' own.
 
-    The last label stands for none, which fewer than LEAST_APART rows do not get. A run begins at any of n rows and has any
-    of l labels, so that one of them gains ``sure`` by chance with a probability of at most LEVEL.
+    The last label stands for none, which fewer than LEAST_APART rows do not get. A run begins at any of n rows and has
+    any of l labels, so that one of them gains ``sure`` by chance with a probability of at most LEVEL.
     """
     sure, row = np.log(score.size / LEVEL), np.arange(score.shape[1])
     labels, allowed, none = np.zeros_like(row), list(range(len(score))), len(score) - 1

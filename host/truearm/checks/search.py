@@ -218,9 +218,9 @@ def refined(best: Weighed, design: Design, finer: Finer) -> Weighed:
 class LeftOutGain(NamedTuple):
     """What a finding gives in rows that were left out; NaN with fewer than FEWEST_BLOCKS, since one place says nothing.
 
-    ``chance`` gives as much with a probability of the smaller one of two tests over the blocks, doubled. Student's t suits
-    gains of equal size. A step in few rows gives their blocks far more than all others, which Wilcoxon's signed ranks do
-    not mind.
+    ``chance`` gives as much with a probability of the smaller one of two tests over the blocks, doubled. Student's t
+    suits gains of equal size. A step in few rows gives their blocks far more than all others, which Wilcoxon's signed
+    ranks do not mind.
     """
 
     share: float  # of the squares of left-out rows that it removes

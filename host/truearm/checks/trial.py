@@ -1,7 +1,7 @@
 """Quick fits of some rows, which compare interpretations of the inputs under one wide prior.
 
-The robot's parameters have the tolerances of manual mounting (``prior.wide_prior``), base and tool a metre and a radian.
-The formulas are in docs/explanation/hypotheses.md.
+The robot's parameters have the tolerances of manual mounting (``prior.wide_prior``), base and tool a metre and a
+radian. The formulas are in docs/explanation/hypotheses.md.
 """
 
 from __future__ import annotations

@@ -165,10 +165,10 @@ def whitened_fit(
 
     These are some ``rows`` of the problem's, or else MOST_ROWS of all.
 
-    ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight`` (n,),
-    and was fitted with the weight ``of_loss`` (n,).
-    The prior of the coefficients of joint ``laws`` is knowledge: it follows from the rows themselves, and without it they
-    would explain anything. With it comes a root (l, l) of its precision.
+    ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight``
+    (n,), and was fitted with the weight ``of_loss`` (n,). The prior of the coefficients of joint ``laws`` is knowledge:
+    it follows from the rows themselves, and without it they would explain anything. With it comes a root (l, l) of its
+    precision.
     """
     rows_used = used_rows(problem)
     examined = rows_used[:: -(-rows_used.size // MOST_ROWS)] if rows is None else rows_used[rows]
@@ -281,8 +281,8 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
 def restricted_likelihood(fit: WhitenedFit, kernel: Kernel) -> tuple[float, float]:
     """Return the restricted log-likelihood of the residuals, and the scale of the noise.
 
-    −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless the kernel is the declared one. The columns
-    of J are of similar length.
+    −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless the kernel is the declared one. The
+    columns of J are of similar length.
     """
     m, k = fit.jac.shape
     white = kernel.whiten(np.column_stack([fit.jac, fit.residual]))

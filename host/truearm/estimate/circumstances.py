@@ -181,9 +181,9 @@ def poses(table: ObservationTable) -> Indices:
 def first_alike(columns: Iterable[NDArray[Any]]) -> tuple[Indices, Indices]:
     """Return the first row of each combination of values in some columns (n,), and the number (n,) of each row's.
 
-    Combinations are in sorted order; NaN equals NaN. Column by column this is faster than unique rows, much so where one
-    column has the same value in all rows, or a different one in each. Numbers of several columns are joined before they
-    are sorted.
+    Combinations are in sorted order; NaN equals NaN. Column by column this is faster than unique rows, much so where
+    one column has the same value in all rows, or a different one in each. Numbers of several columns are joined before
+    they are sorted.
     """
     number, count = np.zeros(0, dtype=np.int64), 1
     for column in columns:

@@ -177,8 +177,8 @@ def _shrinking(chain: Chain, data: Information, root: Floats, free: Mask) -> Mas
     """Return the parameters (p,) of null directions along which χ² falls although no prediction depends on them.
 
     They change the robot's size if nothing measures a length, such as seats in sockets of unknown places and distances:
-    the residuals are in proportion to the robot, so the best fit to noise is a robot without extent. ``root`` is that of
-    the settled rows.
+    the residuals are in proportion to the robot, so the best fit to noise is a robot without extent. ``root`` is that
+    of the settled rows.
     """
     scaled, scale = rank_columns(root)
     _, unseen = null_basis(scaled)

@@ -105,8 +105,8 @@ def identify(
     none.
     options : solver, loss, maximum number of iterations, and progress callback.
 
-    Raises ProblemError if there is no row to fit, and for the same reasons as ``build_problem``. Rank and convergence are
-    fields of the result.
+    Raises ProblemError if there is no row to fit, and for the same reasons as ``build_problem``. Rank and convergence
+    are fields of the result.
     """
     started = time.perf_counter()
     task = _task(chain, rig, table, (free, prefer), hold_out, prior_sigma, options)
@@ -240,9 +240,9 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
     """Return the nominal robot.
 
     An unmeasured position of a ball or chuck is not an error of the robot. With a guessed rig, the identification would
-    be credited with correcting it. Nor are its errors outliers: that fit has no gate and no robust loss. The mounting of
-    base and tool is not an error of the robot either. It is placed by the rows that are not gross, with only the free
-    parameters that move nothing else.
+    be credited with correcting it. Nor are its errors outliers: that fit has no gate and no robust loss. The mounting
+    of base and tool is not an error of the robot either. It is placed by the rows that are not gross, with only the
+    free parameters that move nothing else.
     """
     problem, of_rig = task.problem, task.problem.of_rig
     placed = fit(problem, of_rig, problem.start, Options(options.max_iterations, ends=Ends()))

@@ -149,8 +149,8 @@ class LawPrior(NamedTuple):
 def law_priors(chain: Chain, laws: Sequence[Law], q: Floats) -> dict[Law, LawPrior]:
     """Return the priors of a chain's laws that are fitted to readings q (n, j).
 
-    The mean of a curve over these is 0: it cannot be distinguished from the joint's offset. So a controller that ignores
-    curves performs best, and so does a robot outside the covered range.
+    The mean of a curve over these is 0: it cannot be distinguished from the joint's offset. So a controller that
+    ignores curves performs best, and so does a robot outside the covered range.
     """
     priors = dict[Law, LawPrior]()
     for law in laws:

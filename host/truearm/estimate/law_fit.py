@@ -282,8 +282,8 @@ def learn(
 ) -> Learned:
     """Learn variances and noise from at most LEARNING poses; without ``shared``, no error that the rows of a pose share.
 
-    They start from what was learned with more laws; with a noise alone, all variances start small. Learning ends once the
-    evidence is less than ``least`` with a noise that was learned beside the laws.
+    They start from what was learned with more laws; with a noise alone, all variances start small. Learning ends once
+    the evidence is less than ``least`` with a noise that was learned beside the laws.
     """
     (sample, stride), linearised = problem.some(), LINEARISED
     if isinstance(start, Learned):

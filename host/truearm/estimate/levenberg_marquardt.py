@@ -87,10 +87,10 @@ def minimise(
 ) -> Minimum:
     """Minimise χ² = fᵀf from x (k,).
 
-    ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``cost(trial,
-    current)`` is χ² at ``trial`` with what J takes as constant, such as weights, as at ``current``; needed only if it
-    depends on x. ``move(x, Δ)`` is the point that a step leads to. ``ends`` may end the iteration before it converges. An
-    iteration is an accepted step. Failure to converge is a status, not an exception.
+    ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``cost(trial, current)`` is
+    χ² at ``trial`` with what J takes as constant, such as weights, as at ``current``; needed only if it depends on x.
+    ``move(x, Δ)`` is the point that a step leads to. ``ends`` may end the iteration before it converges. An iteration
+    is an accepted step. Failure to converge is a status, not an exception.
     """
     lam, correctors = damping
     current = linearise(x)

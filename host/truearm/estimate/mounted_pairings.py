@@ -272,8 +272,8 @@ class _Fit:
     def _normal(self, probability: Floats) -> tuple[Indices, Floats, Floats, Floats, Floats, Floats]:
         """Return the most probable candidate of each dwell, its weight in the fit [1/m²], derivatives and residual.
 
-        These are (n,), (n,), (n, p), (n,). The weight is 0 where it is improbable. Then information and right-hand side of
-        the prior and all dwells.
+        These are (n,), (n,), (n, p), (n,). The weight is 0 where it is improbable. Then information and right-hand side
+        of the prior and all dwells.
         """
         rows, best = np.arange(self.n), probability[:, : self.k].argmax(axis=1)
         likely = probability[rows, best]

@@ -133,8 +133,8 @@ def pose_rows(
 ) -> Iterator[RowsByPose]:
     """Return all poses in chunks with equally many rows of each kind per pose.
 
-    The unknowns are x[columns], linearised at x, or these by ``root`` (k, r). ``pose`` (n_rows,) holds the numbers of the
-    poses. Without ``motions``, ``moved`` has no columns.
+    The unknowns are x[columns], linearised at x, or these by ``root`` (k, r). ``pose`` (n_rows,) holds the numbers of
+    the poses. Without ``motions``, ``moved`` has no columns.
     """
     p = problem.n_robot
     bases = folded(problem.chain, x[:p]).basis, direct_basis(p)

@@ -93,8 +93,8 @@ def seen_covariance(points: Floats, unseen: Floats, half: Floats, any_base: bool
 def _motion(half: Floats, unseen: Floats, body: Floats, any_base: bool) -> tuple[Floats, bool] | None:
     """Return the root ``half`` (m, k) of a covariance, and whether it is without a motion of the base, ``body`` (m, 6).
 
-    That is so with ``any_base``, or if null directions cause such a motion. ``unseen`` (m, d) are their motions. None if
-    they have any other.
+    That is so with ``any_base``, or if null directions cause such a motion. ``unseen`` (m, d) are their motions. None
+    if they have any other.
     """
     relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
     if relative:
@@ -137,8 +137,8 @@ def predicted_point_error(
 def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
     """Return the mean square (n,) [m²] of the arm's own scatter at the measured points, where it was learned; 0 elsewhere.
 
-    It is the error that the poses do not share: of each joint, and of a motion of the last link. Faults that explain the
-    residuals pass for scatter, and are stated for themselves.
+    It is the error that the poses do not share: of each joint, and of a motion of the last link. Faults that explain
+    the residuals pass for scatter, and are stated for themselves.
     """
     scatter = estimate.scatter
     learned_beside_faults = not estimate.faults or estimate.law_parameters  # laws are chosen beside them

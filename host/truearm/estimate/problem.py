@@ -211,7 +211,8 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
     """Return the problem with effects as its last parameters, with the wide prior.
 
     The prior is needed because the data may not determine every direction of an item, such as a chuck that moved. It is
-    that of manual mounting. An offset in all rows of an existing parameter is that parameter with an equally wide prior.
+    that of manual mounting. An offset in all rows of an existing parameter is that parameter with an equally wide
+    prior.
     """
     named = {modelled.effect.parameter(modelled.column): modelled for modelled in effects}
     wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])

@@ -12,8 +12,8 @@ differences between the sides (lack of fit).
 
 Intervals are 95 %: χ² for standard deviations, t for means and regressions, order statistics for quantiles.
 
-The Allan deviation shows how a sensor's mean wanders with the averaging time. Its degrees of freedom are those of white noise
-(Riley, NIST SP 1065, 2008, §5.4.1).
+The Allan deviation shows how a sensor's mean wanders with the averaging time. Its degrees of freedom are those of white
+noise (Riley, NIST SP 1065, 2008, §5.4.1).
 """
 
 from __future__ import annotations
@@ -67,12 +67,13 @@ class Visits:
 class Repeatability:
     """Repeatability and backlash of a robot in m and rad; tuples have one entry per joint.
 
-    ``sides`` counts the combinations of pose and approach direction. ``along_m`` is the spread of the length at one pose
-    from one side, and ``unexplained_m`` the part that the readings do not explain. ``backlash_si`` is the full width by
-    which the link lags the encoder, with its standard deviation. ``reading_spread_si`` is that of the mean reading at
-    one pose from one side, and ``reading_difference_si`` that of the mean readings between the sides, up minus down.
-    ``misfit_probability``: of differences between the sides at least this large if backlash were the only cause; NaN if
-    too few visits repeat. ``bar_sigma_m`` and ``joint_sigma_si`` are for an identification: see ``repeatability()``.
+    ``sides`` counts the combinations of pose and approach direction. ``along_m`` is the spread of the length at one
+    pose from one side, and ``unexplained_m`` the part that the readings do not explain. ``backlash_si`` is the full
+    width by which the link lags the encoder, with its standard deviation. ``reading_spread_si`` is that of the mean
+    reading at one pose from one side, and ``reading_difference_si`` that of the mean readings between the sides, up
+    minus down. ``misfit_probability``: of differences between the sides at least this large if backlash were the only
+    cause; NaN if too few visits repeat. ``bar_sigma_m`` and ``joint_sigma_si`` are for an identification: see
+    ``repeatability()``.
     """
 
     visits: int
@@ -225,8 +226,8 @@ def _allan_variance(samples: Floats, m: int) -> tuple[float, float]:
 def _regression(y: Floats, columns: Floats, group: Ints) -> tuple[tuple[Interval, ...], tuple[float, ...], float, int]:
     """Fit y (n,) by columns (n, k) and a mean for each group.
 
-    Return the coefficients and their standard deviations, NaN for columns without effect, the residual variance, and its
-    degrees of freedom.
+    Return the coefficients and their standard deviations, NaN for columns without effect, the residual variance, and
+    its degrees of freedom.
     """
     y, x = _deviations(y, group), _deviations(columns, group)
     size = np.linalg.norm(x, axis=0)

@@ -1,7 +1,7 @@
 """The content of result.json of an estimate: see ``result_file`` and docs/reference/result-format.md.
 
-Fields have the names of the estimate's attributes, and its records those of their own fields, in the unit that ``results``
-declares, which ends the name. ``Result`` leaves out what it does not declare.
+Fields have the names of the estimate's attributes, and its records those of their own fields, in the unit that
+``results`` declares, which ends the name. ``Result`` leaves out what it does not declare.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def result_of(
 ) -> Result:
     """Return the content of result.json for an estimate from ``table``: its attributes that are fields, and what follows.
 
-    ``predicted`` is the predicted error of the tool. ``fields`` are those that do not follow from an estimate, such as ``inputs`` and ``prior``.
+    ``predicted`` is the predicted error of the tool. ``fields`` are those that do not follow from an estimate, such as
+    ``inputs`` and ``prior``.
     """
     names, free, units = np.array(estimate.parameter_names), estimate.free, residual_units(estimate)
     q = table.q[estimate.fitted]

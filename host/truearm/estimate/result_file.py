@@ -82,8 +82,9 @@ class RobotFrames(Struct, frozen=True):
 class Covariance(Struct, frozen=True):
     """The covariance of the free parameters: their sigmas, and a root of the correlations C = RᵀR.
 
-    ``upper`` is the upper triangle of R by rows, as little-endian int32 in units of 2⁻³⁰, deflated. A root needs half the
-    digits of C, and RᵀR has no negative variance. Most of it is zeros where many coefficients of curves are not measured.
+    ``upper`` is the upper triangle of R by rows, as little-endian int32 in units of 2⁻³⁰, deflated. A root needs half
+    the digits of C, and RᵀR has no negative variance. Most of it is zeros where many coefficients of curves are not
+    measured.
     """
 
     names: Names

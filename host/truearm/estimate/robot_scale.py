@@ -34,9 +34,9 @@ NO_SHARE = 1e-6  # of a length in a null direction, whose largest share is about
 def with_scale(chain: Chain, estimate: Estimate) -> Estimate:
     """Return the estimate with its scale, and as not usable if there is one: every position errs in that ratio.
 
-    An item that is some millimetres off also scales a robot by a few parts in a thousand. If there are systematic errors,
-    only a scale beyond LARGE is therefore one. They are then dropped as with other wrong inputs: to first order about such
-    a fit, items that fix the scale would seem to be off.
+    An item that is some millimetres off also scales a robot by a few parts in a thousand. If there are systematic
+    errors, only a scale beyond LARGE is therefore one. They are then dropped as with other wrong inputs: to first order
+    about such a fit, items that fix the scale would seem to be off.
     """
     scale = robot_scale(chain, estimate)
     if scale is None or (estimate.faults and abs(scale.factor - 1.0) < LARGE):

@@ -14,7 +14,8 @@ from typing import NamedTuple
 class Prior(StrEnum):
     """The robot's prior before any measurement.
 
-    WHERE_NEEDED: the weak one, only for parameters that the data determine less accurately than a drawing (``defaults``).
+    WHERE_NEEDED: the weak one, only for parameters that the data determine less accurately than a drawing
+    (``defaults``).
     """
 
     NONE = "none"

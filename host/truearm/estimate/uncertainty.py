@@ -1,8 +1,8 @@
 """What is known of a robot before any measurement (prior), and the quality of an estimate: χ², covariance of the end.
 
-**χ²** is that of the n data alone, over ν = n − tr(H) with the hat matrix H = J(JᵀJ + M)⁻¹Jᵀ, M the prior's information.
-Its range holds for every prior that is true or too wide: docs/explanation/estimation.md derives it. The total cost
-would depend on the prior's width more than on residuals.
+**χ²** is that of the n data alone, over ν = n − tr(H) with the hat matrix H = J(JᵀJ + M)⁻¹Jᵀ, M the prior's
+information. Its range holds for every prior that is true or too wide: docs/explanation/estimation.md derives it. The
+total cost would depend on the prior's width more than on residuals.
 
 **Cartesian error** (Renders 1991, II-D). A point of the end has the error J Δ, with the covariance
 

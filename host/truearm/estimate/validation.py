@@ -263,11 +263,11 @@ def pose_means(pose: Indices, *errors: Floats) -> list[Floats]:
 def with_gain(table: ObservationTable, estimate: Estimate) -> Estimate:
     """Return the estimate with its gain, and as not usable if it is worse than the nominal robot.
 
-    Calibrated and nominal robot, with base and tool placed, are compared pose by pose. d is the mean magnitude of a pose's
-    errors after the calibration, less that before. It is at most the distance between the two predictions, so no outlier
-    dominates. t is the mean of d in its standard errors: better is below the quantile of Student's t for CHANCE, worse
-    above that for 1 − CHANCE. With residuals in several units, a robot that is better in one of them is better.
-    Unchanged if it is not usable already, or did not converge: then its errors say nothing.
+    Calibrated and nominal robot, with base and tool placed, are compared pose by pose. d is the mean magnitude of a
+    pose's errors after the calibration, less that before. It is at most the distance between the two predictions, so no
+    outlier dominates. t is the mean of d in its standard errors: better is below the quantile of Student's t for
+    CHANCE, worse above that for 1 − CHANCE. With residuals in several units, a robot that is better in one of them is
+    better. Unchanged if it is not usable already, or did not converge: then its errors say nothing.
     """
     if estimate.unusable or estimate.status != "converged":
         return estimate

@@ -38,11 +38,12 @@ ROUNDED = 1e-4  # rad, m: a reading at a joint's limit that was written with few
 class Calibration(Displayed):
     """A robot and its identified parameters, as stored in a result.json.
 
-    ``nominal`` and ``identified`` are the robot's parameters (p,). ``covariance`` (p, p) is that of the identified ones, 0
-    for fixed ones. ``unseen`` (p, d) holds the null space: the directions that the observations did not determine,
-    including those fixed as a choice of frame. The largest weight of each direction is 1. ``parameters`` maps the name of
-    each parameter, the rig's too, to a ``ParameterEstimate``. ``findings`` are what truearm states about it, and ``document``
-    the content of result.json. ``carrying(mass, centre)`` returns the calibration of the robot with a payload [kg, m].
+    ``nominal`` and ``identified`` are the robot's parameters (p,). ``covariance`` (p, p) is that of the identified
+    ones, 0 for fixed ones. ``unseen`` (p, d) holds the null space: the directions that the observations did not
+    determine, including those fixed as a choice of frame. The largest weight of each direction is 1. ``parameters``
+    maps the name of each parameter, the rig's too, to a ``ParameterEstimate``. ``findings`` are what truearm states
+    about it, and ``document`` the content of result.json. ``carrying(mass, centre)`` returns the calibration of the
+    robot with a payload [kg, m].
 
     Examples
     --------

@@ -195,10 +195,11 @@ def _sensor(visited: Sequence[PoseVisit]) -> dict[str, Any]:
 class PoseVisit:
     """A dwell of j joints that gave an observation.
 
-    ``side`` (j,): the last motion of each joint, −1 or 1, NaN if it did not move. ``mean_var`` (j,) [rad², m²]: variance
-    of the mean reading including correlation, without quantisation. ``settling`` (b,) [s]: time from first entering each
-    band around the bar's mean to staying in it; NaN if the bar did not come from outside or the noise is too large for
-    the band. ``rest`` (n,) [m]: the samples at rest, ``period_s`` apart, of the longest piece without a gap.
+    ``side`` (j,): the last motion of each joint, −1 or 1, NaN if it did not move. ``mean_var`` (j,) [rad², m²]:
+    variance of the mean reading including correlation, without quantisation. ``settling`` (b,) [s]: time from first
+    entering each band around the bar's mean to staying in it; NaN if the bar did not come from outside or the noise is
+    too large for the band. ``rest`` (n,) [m]: the samples at rest, ``period_s`` apart, of the longest piece without a
+    gap.
     """
 
     dwell: Dwell

@@ -1,7 +1,7 @@
 """The model that a Universal Robots controller computes with, as a robot file (``truearm robot read``, ``truearm init``).
 
-The file is the one of the drawing with a further set of values, CONTROLLER, which becomes the nominal one. The rows with
-d of hundreds of metres become rows with Hayati's β (``export.toml_tables``), which can be identified.
+The file is the one of the drawing with a further set of values, CONTROLLER, which becomes the nominal one. The rows
+with d of hundreds of metres become rows with Hayati's β (``export.toml_tables``), which can be identified.
 """
 
 from __future__ import annotations

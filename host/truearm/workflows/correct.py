@@ -95,8 +95,8 @@ def corrected_poses(
 ) -> Correction:
     """Correct poses (n, 4, 4) of the end frame in the base frame.
 
-    ``partial``: what cannot be commanded is NaN. Otherwise raises TargetError for the first pose that is out of reach or
-    near a singularity. Raises it also if nothing determines the arm's configuration.
+    ``partial``: what cannot be commanded is NaN. Otherwise raises TargetError for the first pose that is out of reach
+    or near a singularity. Raises it also if nothing determines the arm's configuration.
     """
     places = [f"pose {i}" for i in range(len(poses))]
     done, commanded = _corrected(_how(calibration, options), poses, options, places)

@@ -56,8 +56,8 @@ MOST_COMPARED = 20  # targets that are corrected in all configurations of the ar
 class CalibrationFrames(NamedTuple):
     """The frames of a calibration.
 
-    ``brought``: defined by a robot that is not a URDF. ``own_frames``: targets are in the robot's own frames. ``tool0``: the
-    pose (4, 4) in the end frame of the link of this name, if a URDF has it there.
+    ``brought``: defined by a robot that is not a URDF. ``own_frames``: targets are in the robot's own frames.
+    ``tool0``: the pose (4, 4) in the end frame of the link of this name, if a URDF has it there.
     """
 
     base: str
@@ -97,10 +97,10 @@ class Visit(NamedTuple):
 class Solution:
     """The correction of n visits, the first ``n_poses`` of poses, the others of joint readings.
 
-    ``rows``: the first visit of each goal. ``requested`` and ``commanded`` (n, 4, 4): the tools' poses in the goals' frames; for
-    joint readings, those of the end in the base. ``tools`` (n, 4, 4): in the end frame. ``quarters`` (n, 6): quarter
-    turns that a goal asks for, NaN if it asks for none. ``determined`` (n,): the program determines the configuration.
-    ``motors``: the joints of the chain that a program's six joints are.
+    ``rows``: the first visit of each goal. ``requested`` and ``commanded`` (n, 4, 4): the tools' poses in the goals'
+    frames; for joint readings, those of the end in the base. ``tools`` (n, 4, 4): in the end frame. ``quarters``
+    (n, 6): quarter turns that a goal asks for, NaN if it asks for none. ``determined`` (n,): the program determines the
+    configuration. ``motors``: the joints of the chain that a program's six joints are.
     """
 
     visits: Sequence[Visit]

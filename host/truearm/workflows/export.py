@@ -36,9 +36,9 @@ CURVES_HEADER = "joint,reading_deg,error_mrad,sigma_mrad,covered"
 class ExportedRobot(Displayed):
     """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows the cost in mm.
 
-    ``form`` is the format, ``text`` the file's text, and ``findings`` tell what it does not hold and where base and tool are
-    mounted. ``fitted`` holds the written parameters: its ``left`` and ``left_turn`` (n,) are the file's errors of position [m] and orientation [rad]
-    against the identified robot over n poses.
+    ``form`` is the format, ``text`` the file's text, and ``findings`` tell what it does not hold and where base and
+    tool are mounted. ``fitted`` holds the written parameters: its ``left`` and ``left_turn`` (n,) are the file's errors
+    of position [m] and orientation [rad] against the identified robot over n poses.
 
     Examples
     --------

@@ -184,8 +184,8 @@ def split_causes(
 def rivals_of_laws(chain: Chain, estimate: Estimate) -> tuple[str, ...]:
     """Return the causes of faults to apply beside joint laws: none of a joint, which laws describe.
 
-    In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows. In any order a
-    chuck that slipped or is elsewhere can be followed by curves to some extent.
+    In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows. In any order
+    a chuck that slipped or is elsewhere can be followed by curves to some extent.
     """
     causes = [fault.rivals[0] for fault in estimate.faults if not is_of_joint(chain, fault)]
     return tuple(cause.apply for cause in causes if cause.apply)

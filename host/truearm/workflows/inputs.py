@@ -84,8 +84,8 @@ def check_files(
 class Observed(NamedTuple):
     """The rig, or the rigs by name, and the observations; if they were read, also what is known about their files.
 
-    These are the ``inputs`` themselves; of each session the account of its dwells (``sessions`` of result.json) and how it
-    was recorded; and what was noticed while they were read, such as the losses of a damaged session.
+    These are the ``inputs`` themselves; of each session the account of its dwells (``sessions`` of result.json) and how
+    it was recorded; and what was noticed while they were read, such as the losses of a damaged session.
     """
 
     rigs: Rigs
@@ -99,8 +99,8 @@ class Observed(NamedTuple):
 def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = None) -> Observed:
     """Return rigs and observations, checked against each other.
 
-    ``chain`` is the robot's; None skips the check of its joints. With the nominal ``robot``, labels that the readings do not
-    support are left out.
+    ``chain`` is the robot's; None skips the check of its joints. With the nominal ``robot``, labels that the readings
+    do not support are left out.
     """
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
@@ -336,7 +336,8 @@ def session_rigs(sessions: Mapping[Path, Session], named_rigs: Mapping[str, Rig]
     """Return name and rig of every session; ``named_rigs`` holds those that the user named, by name.
 
     If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
-    a name. Sessions recorded with the same rig share the name of the first one. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
+    a name. Sessions recorded with the same rig share the name of the first one. Raises RigError for a session without a
+    rig, InputError for names that do not distinguish rigs.
     """
     if "" in named_rigs:
         return dict.fromkeys(sessions, ("", named_rigs[""]))

@@ -260,7 +260,8 @@ def _target(knowledge: Knowledge, name: str | None) -> str:
 def _read_knowledge(files: PlanFiles) -> Knowledge:
     """Return robot, rig, model and earlier measurements, from files.
 
-    Raises InputError if an output would replace an input or another output, and PlanError if no program can be for the robot.
+    Raises InputError if an output would replace an input or another output, and PlanError if no program can be for the
+    robot.
     """
     inputs = [*files.robot.files, files.rig, files.result, *files.measured]
     outputs = [("plan", files.out), ("rig", files.rig_out), *(("program", path) for path in files.program_out)]

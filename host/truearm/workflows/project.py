@@ -105,8 +105,8 @@ def create(
 ) -> tuple[list[Path], dict[str, Any] | None, Finding | None]:
     """Write truearm.toml, rig.toml and a first plan into a folder, or with ``sockets`` what they are made and noted with.
 
-    Returns the files, the forecast of the first plan, None if none was made, and what was read of the robot's controller,
-    None if the address is not that of one.
+    Returns the files, the forecast of the first plan, None if none was made, and what was read of the robot's
+    controller, None if the address is not that of one.
 
     ``branch``: of the robot, None for that of its file. ``minutes``: of the first plan, 0 for none.
     Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
@@ -191,7 +191,8 @@ def _move(new: Path, files: list[Path]) -> None:
 def _as_measured(rig: Rig, first: FirstRig) -> Rig:
     """Return a first rig with the available bars and the accuracy of its measurements.
 
-    If nothing is measured, the first bar still has to be, by calliper, because lengths need a scale; the others by tape.
+    If nothing is measured, the first bar still has to be, by calliper, because lengths need a scale; the others by
+    tape.
     """
     from truearm.plan.first_rig import bars
 

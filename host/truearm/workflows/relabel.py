@@ -116,9 +116,9 @@ LEAST_DWELLS = 3  # fewer cannot support one another
 class Stop(NamedTuple):
     """A stop that may be a dwell, with its file and its number there, from 1, and what plan and operator say about it.
 
-    ``rows``: the rows of the plan that it may be, likeliest first, with what is mounted there. ``planned``: the pairings
-    planned for it; () if it is out of order or not in the plan. ``typed``: the pairings typed since the previous stop.
-    ``confirmed``: the last confirmed pairing.
+    ``rows``: the rows of the plan that it may be, likeliest first, with what is mounted there. ``planned``: the
+    pairings planned for it; () if it is out of order or not in the plan. ``typed``: the pairings typed since the
+    previous stop. ``confirmed``: the last confirmed pairing.
     """
 
     place: tuple[Path, int]

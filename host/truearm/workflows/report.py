@@ -99,8 +99,8 @@ def _nearby(result: Path, stored: Result, role: str) -> list[Path]:
 def validate_files(result: Path, files: IdentifyFiles, issue: Issue, keep_rig: bool = False) -> Validation:
     """Judge a result by independent observations; ``keep_rig`` as in ``validated``.
 
-    If there is a page ``files.report``, write it, and add the findings of its certificate, the decision after the verdict.
-    Raises InputError with a one-line message.
+    If there is a page ``files.report``, write it, and add the findings of its certificate, the decision after the
+    verdict. Raises InputError with a one-line message.
     """
     calibration, sources = read_calibration(result, files.robot), files.sources
     check_files(sources, files.robot, [("page", files.report)], files.force)

@@ -87,8 +87,8 @@ class PlanFiles:
     """Inputs of a plan, and the files to write.
 
     ``result``: an earlier result.json, with a model that replaces the design. ``measured``: sessions and tables that
-    count as already measured. ``branch``: None for the robot file's. Programs are written for the controllers identified
-    by their suffixes. ``output_line`` and ``input_line`` of the controller connect robot and box.
+    count as already measured. ``branch``: None for the robot file's. Programs are written for the controllers
+    identified by their suffixes. ``output_line`` and ``input_line`` of the controller connect robot and box.
     """
 
     robot: RobotChoice
@@ -155,8 +155,8 @@ class TruthOptions:
 class SimulateOptions:
     """What to simulate, and where it listens.
 
-    ``branch``: where poses are drawn, by default the robot file's. ``truth`` is written to ``truth_out``. ``plan``
-    and ``rig`` are files that replace ``poses`` with each bar, or ``lines``. A ``fault`` is written SECONDS:KIND. A port of
+    ``branch``: where poses are drawn, by default the robot file's. ``truth`` is written to ``truth_out``. ``plan`` and
+    ``rig`` are files that replace ``poses`` with each bar, or ``lines``. A ``fault`` is written SECONDS:KIND. A port of
     0 means any free one. ``warming`` [K]: how much the laboratory warms up; bar and sensor then have thermometers.
     ``rate`` [Hz]: of what is recorded in virtual time, None for the usual one.
     """
@@ -188,8 +188,8 @@ class SimulateOptions:
 class RecordOptions:
     """What to record from which ``box`` (None: the one that is plugged in) and from the robot at ``address``.
 
-    ``resume``: the session to continue, in place of ``out``. ``duration`` [s]: None for no end. ``patience`` [s]: how long
-    to wait for a box or robot that was lost. ``project_model``: the robot of the project, or the path of its file.
+    ``resume``: the session to continue, in place of ``out``. ``duration`` [s]: None for no end. ``patience`` [s]: how
+    long to wait for a box or robot that was lost. ``project_model``: the robot of the project, or the path of its file.
     """
 
     box: str | None = None
@@ -277,9 +277,9 @@ class Section:
     """The section of the workspace to map.
 
     ``joints``: the two that span it, counted from 1. ``at``: position of the joints (j,) [rad, m]; None for the middle
-    of the fitted readings, and then only cells within these. The elbow is
-    as there. ``cell`` [m]: size of a cell. ``own_frames``: leave out how base and tool were mounted. ``task``: width and
-    height [m] of a task for which to find the best place, ``within`` u0, u1, v0, v1 [m] or anywhere.
+    of the fitted readings, and then only cells within these. The elbow is as there. ``cell`` [m]: size of a cell.
+    ``own_frames``: leave out how base and tool were mounted. ``task``: width and height [m] of a task for which to find
+    the best place, ``within`` u0, u1, v0, v1 [m] or anywhere.
     """
 
     joints: tuple[int, int] = (2, 3)
@@ -305,10 +305,11 @@ class ProgramOptions:
 
     ``joint_moves``: what to do with moves to joint readings, None to refuse programs with any. ``partial``: correct the
     other moves if some cannot be corrected; ``mark`` marks these with a comment. ``strict``: routines in none of the
-    files may displace the program and change data. ``flange``: the controller's flange in the calibration's end frame, if their names do not show this.
-    ``tools`` and ``works``: tools and work objects that are declared elsewhere, by name; the tool "" is in force before a
-    URScript sets one, the work object "" is the controller's base in the calibration's base frame. Poses are positions
-    [m] and rotation vectors [rad]. ``unchanged``: names that nothing outside the files changes.
+    files may displace the program and change data. ``flange``: the controller's flange in the calibration's end frame,
+    if their names do not show this. ``tools`` and ``works``: tools and work objects that are declared elsewhere, by
+    name; the tool "" is in force before a URScript sets one, the work object "" is the controller's base in the
+    calibration's base frame. Poses are positions [m] and rotation vectors [rad]. ``unchanged``: names that nothing
+    outside the files changes.
     """
 
     joint_moves: JointMoves | None = None
@@ -326,9 +327,9 @@ class CorrectOptions:
     """How to correct.
 
     ``own_frames``: targets are in the robot's own base and flange frames. ``margin``: targets with a smaller singular
-    value are refused. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how to correct a program,
-    which contains its own frames; of a table, the tool and the work object "" are those of its targets. ``document``:
-    compute what is expected of each target, as a report does too.
+    value are refused. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how to correct a
+    program, which contains its own frames; of a table, the tool and the work object "" are those of its targets.
+    ``document``: compute what is expected of each target, as a report does too.
     """
 
     method: Method = Method.NEWTON

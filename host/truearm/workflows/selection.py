@@ -152,9 +152,9 @@ def _listed(noun: str, names: Sequence[str], owner: str = "it") -> str:
 def _pose_ranks(table: ObservationTable, seed: int) -> NDArray[np.intp]:
     """Return the number (n,) of each row's pose in a random order in which all groups are mixed evenly.
 
-    Every pose gets its position in a random order of its own group, as a share of the group, and poses are sorted by it.
-    Rows of one pose (the same joint readings, for example with several reflectors) have common errors, so they are held
-    out together or not at all.
+    Every pose gets its position in a random order of its own group, as a share of the group, and poses are sorted by
+    it. Rows of one pose (the same joint readings, for example with several reflectors) have common errors, so they are
+    held out together or not at all.
     """
     rng = np.random.default_rng(seed)
     group = first_alike([table.kind, *(table[column] for column in drawn_from())])[1]

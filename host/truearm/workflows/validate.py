@@ -79,12 +79,13 @@ class Validation(Displayed):
 
     Printing it shows errors in mm and deg, and the verdict.
 
-    ``before`` and ``after`` are errors by SI unit, without the calibration and with it. For ``before``, base and tool are
-    fitted to these rows as far as the rows determine them, if all rows can still be judged afterwards. ``n_unseen`` rows
-    depend on directions that the calibration did not observe. ``expected`` is the RMS explained by declared noise and
-    the calibration's own uncertainty in the other rows, empty if there are none. ``n_left_out`` rows are not judged,
-    because they fit the unknowns of the rig whatever their values; ``n_settled`` such unknowns were estimated on these
-    rows. ``regions`` are groups and parts of the space. ``document`` is what ``truearm validate --json`` prints.
+    ``before`` and ``after`` are errors by SI unit, without the calibration and with it. For ``before``, base and tool
+    are fitted to these rows as far as the rows determine them, if all rows can still be judged afterwards. ``n_unseen``
+    rows depend on directions that the calibration did not observe. ``expected`` is the RMS explained by declared noise
+    and the calibration's own uncertainty in the other rows, empty if there are none. ``n_left_out`` rows are not
+    judged, because they fit the unknowns of the rig whatever their values; ``n_settled`` such unknowns were estimated
+    on these rows. ``regions`` are groups and parts of the space. ``document`` is what ``truearm validate --json``
+    prints.
 
     Examples
     --------
