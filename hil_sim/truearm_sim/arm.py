@@ -1,5 +1,6 @@
-"""The motion of an arm: how its links come to rest and deviate from the joint readings; the default is a stiff PUMA
-560.
+"""The motion of an arm: how its links come to rest and deviate from the joint readings.
+
+The default is a stiff PUMA 560.
 
 A worn arm's links lag their encoders by half the backlash, on the side they come from. A slow arm's joints have not
 reached their target when the commanded motion ends, and approach it exponentially, including their encoders. The links
@@ -59,8 +60,9 @@ class Arm:
         return np.asarray(np.maximum(by_speed, by_acceleration).max(axis=1))
 
     def short(self, since: Floats, share: Floats) -> Floats:
-        """Return the remaining distance (k,) to the target, for motion by +1, ``since`` arrival [s]; before it, by
-        ``share``.
+        """Return the remaining distance (k,) to the target, for motion by +1, ``since`` arrival [s].
+
+        Before it, by ``share``.
 
         ``share`` is the share of the path covered.
         """

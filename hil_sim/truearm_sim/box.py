@@ -65,9 +65,9 @@ LATER_US = 1 << 29  # nothing is due
 class Grant:
     """The input of the box for one step, which lasts until ``now_us``.
 
-    ``samples`` (``mag``) are n stamps of 4 bytes and n samples of 16 (4), the first with index ``index`` since the start of
-    sampling. ``fault`` refers to the last converter sample. ``thermometers`` are records of THERMOMETER, all of them in each
-    grant, ``readings`` what the further sensors would read now.
+    ``samples`` (``mag``) are n stamps of 4 bytes and n samples of 16 (4), the first with index ``index`` since the
+    start of sampling. ``fault`` refers to the last converter sample. ``thermometers`` are records of THERMOMETER, all
+    of them in each grant, ``readings`` what the further sensors would read now.
     """
 
     now_us: int

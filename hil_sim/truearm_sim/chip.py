@@ -90,8 +90,9 @@ class ChipBox:
     link_ns = USB_PACKET_NS
 
     def __init__(self, boot: Boot, *, prompt: bool = False, image: Path | None = None, start_us: int = 0) -> None:
-        """``prompt``: each of its transfers is an answer, during the grant. ``start_us``: hardware timer value at power-on,
-        for tests of its wrap-around; device times count from there.
+        """``prompt``: each of its transfers is an answer, during the grant.
+
+        ``start_us``: hardware timer value at power-on, for tests of its wrap-around; device times count from there.
 
         Raises NodeError if the emulator or the image is missing.
         """

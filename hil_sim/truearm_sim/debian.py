@@ -136,9 +136,9 @@ def private_apt(
     """Create apt's private directory for ``suite`` in ``folder`` and read the package lists.
 
     Returns the environment in which apt's programs use it; packages are downloaded to ``folder``/cache/archives.
-    ``types`` is "deb", or "deb deb-src" to include sources; ``updates`` are further suites, from those of the computer's
-    sources that have them. If the mirror is being updated, the lists are requested
-    again after each of ``pauses`` (s).
+    ``types`` is "deb", or "deb deb-src" to include sources; ``updates`` are further suites, from those of the
+    computer's sources that have them. If the mirror is being updated, the lists are requested again after each of
+    ``pauses`` (s).
 
     Raises:
         DebianError: this computer has no apt or no Debian source, or the lists cannot be loaded or verified.
@@ -167,7 +167,7 @@ def private_apt(
 
 
 def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> None:
-    """Write a private apt directory: own sources, lists, cache and package database; the computer's keys and proxies."""
+    """Write a private apt directory: own sources, lists, cache, package database; the computer's keys, proxies."""
     for folder in ("none", "sources", "state/lists/partial", "cache/archives/partial"):
         (apt / folder).mkdir(parents=True)
     (apt / "state" / "status").touch()
@@ -203,8 +203,8 @@ def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> N
 def fetch(folder: Path, packages: Sequence[str], say: Callable[[str], None], backports: bool = False) -> None:
     """Unpack packages of this computer's release into ``folder``/root, with the dependencies it lacks, once.
 
-    :func:`environment` runs their programs. A dependency whose files a program searches beside itself must be named, since
-    it may be installed elsewhere. ``backports``: the release's backports take precedence, where it has them.
+    :func:`environment` runs their programs. A dependency whose files a program searches beside itself must be named,
+    since it may be installed elsewhere. ``backports``: the release's backports take precedence, where it has them.
 
     Raises:
         DebianError: this computer has no apt, its release has no such package, or it cannot be downloaded or verified.

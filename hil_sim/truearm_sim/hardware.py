@@ -63,7 +63,7 @@ class Signals:
         return self.world.thermometers(float(t[0]))
 
     def readings(self, device_us: int) -> bytes:
-        """Return what the further sensors read at this time after boot, a little-endian 32-bit integer for each channel."""
+        """Return what the further sensors read at this time after boot, as little-endian 32-bit integers by channel."""
         t = self.world.clocks.device.true(np.array([1e-9 * self.boot_device_ns + 1e-6 * device_us]))
         return self.world.readings(float(t[0]))
 
@@ -91,8 +91,9 @@ class Hardware(Protocol):
     def advance(
         self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
     ) -> Iterator[Answer]:
-        """Run up to ``device_us`` after boot, in one or more steps; the last answer has an ``end`` if the firmware
-        ended.
+        """Run up to ``device_us`` after boot, in one or more steps.
+
+        The last answer has an ``end`` if the firmware ended.
 
         ``rx``: bytes from the host; those that the box does not accept yet are kept for it. The link accepts
         ``tx_room`` bytes. Answers report whether the box samples, and since which times (``first_ns``).

@@ -1,5 +1,4 @@
-"""Errors of a true arm's joints beyond geometry: gear errors that depend on the angle, and joints that yield under
-weight.
+"""Errors of a true arm's joints beyond geometry: gear errors by the angle, and joints that yield under weight.
 
 Both are offsets of the links from the encoder readings, as a function of the joints alone. They belong to the simulator
 and are independent of the joint law that an identification fits (``truearm.model.joint_law``).

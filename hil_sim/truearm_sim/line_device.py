@@ -106,7 +106,7 @@ def _declared(device: Device, draw: Floats) -> Placement:
 
 
 def written_down(rig: Rig, placed: Mapping[str, Placement], seed: int) -> Rig:
-    """Return the rig with the operator's notes on devices missing in it: their orientation, to BY_HAND about each axis."""
+    """Return the rig with the operator's notes on devices missing in it: orientations, to BY_HAND about each axis."""
     rng = np.random.default_rng([seed, _POSES, 1])
     cov: Matrix = tuple(tuple(s**2 * (i == k) for k in range(3)) for i, s in enumerate(rig.line_sigma))
     noted = dict(rig.lines)
@@ -150,7 +150,10 @@ class LineDevices:
         self._target = {row: target_of(plan, row, rig) for row in np.flatnonzero(plan.lines).tolist()}
 
     def position(self, t: Floats) -> Floats:
-        """Return the magnet in the device's axes (k, 3) [m] at true times t (k,), with drive errors; NaN out of range."""
+        """Return the magnet in the device's axes (k, 3) [m] at true times t (k,), with drive errors.
+
+        NaN out of range.
+        """
         out = np.full((len(t), 3), np.nan)
         stop = self._controller.stop_index(t)
         row = self._controller.pose[stop]

@@ -159,8 +159,9 @@ def _download(apt: Path, say: Callable[[str], None]) -> list[Path]:
 
 
 def _packages_for(architecture: str, suites: Sequence[str], apt: Path, say: Callable[[str], None]) -> list[Path]:
-    """Return the packages for one architecture from the first of ``suites`` that has them: mirrors are updated in
-    parts.
+    """Return the packages for one architecture from the first of ``suites`` that has them.
+
+    Mirrors are updated in steps.
 
     Raises:
         DebianError: none has them; the text is that of the last one.

@@ -56,8 +56,7 @@ def _risen(u: Floats) -> Floats:
 
 
 def line_paths(plan: Plan, chain: Chain, params: Floats, rig: Rig) -> dict[int, Path]:
-    """Return the path to each row of the plan that is a line, for a controller that uses the chain with ``params``
-    (p,).
+    """Return the path to each line of the plan, for a controller that uses the chain with ``params`` (p,).
 
     Raises PlanError for a line that the arm cannot drive.
     """

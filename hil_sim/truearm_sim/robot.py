@@ -98,8 +98,9 @@ class Controller:
         paths: Mapping[int, Path] | None = None,
         delay: float = 0.0,
     ) -> Controller:
-        """Return the motion of ``plan``; ``remount`` (n,) adds poses before which the bar is removed to those of new
-        pairings.
+        """Return the motion of ``plan``.
+
+        ``remount`` (n,) adds poses before which the bar is removed to those of new pairings.
 
         ``paths``: of every row that is a line.
         """
@@ -224,7 +225,7 @@ class Controller:
         return out
 
     def numbers(self, t0: float, t1: float) -> tuple[int, int]:
-        """Return the numbers since true time 0 of the readings with t0 ≤ true time < t1: of the first, and after the last."""
+        """Return the numbers since true time 0 of the first reading with t0 ≤ true time < t1, and after the last."""
         start, first, last = (self._tick(t) for t in (0.0, t0, t1))
         return first - start, last - start
 

@@ -1,5 +1,4 @@
-"""The readings of the box's converter and its magnetostrictive head: lengths to counts and times, with noise per
-sample.
+"""The readings of the box's converter and magnetostrictive head: lengths to counts and times, with noise.
 
 The LVDT's conditioner turns the bar's extension e [m] into a voltage with e = POLY[0] + POLY[1]·V, which is known from
 the box's calibration. The converter has 24 bits over ±1.2 V; beyond that it saturates. While the bar is off, the core
@@ -51,7 +50,10 @@ _MAG_NOISE, _MAG_STOPS = 5, 6
 
 
 def period_ns(osr: int) -> int:
-    """Return the converter's sample period: 983,040 ns at oversampling 4096. Raises ValueError unless osr is in OSRS."""
+    """Return the converter's sample period: 983,040 ns at oversampling 4096.
+
+    Raises ValueError unless osr is in OSRS.
+    """
     if osr not in OSRS:
         raise ValueError(f"oversampling must be one of {OSRS}, is {osr}")
     return osr * MODULATOR_NS

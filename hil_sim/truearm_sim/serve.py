@@ -1,7 +1,8 @@
 """The lab in real time: the box behind a TCP port or a pseudo-terminal, the robot behind a TCP port, on loopback.
 
 Time starts with the first connection. At each tick, and when its client has written something, the box is granted the
-elapsed wall-clock time, with the bytes its client wrote. While no client is connected the link accepts nothing, and the box counts what it must drop.
+elapsed wall-clock time, with the bytes its client wrote. While no client is connected the link accepts nothing, and the
+box counts what it must drop.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ TICK_S = 0.002
 class Pace:
     """How time passes: the pause between steps [s], and how far the lab's time may lag behind the wall clock [ns].
 
-    ``longest_lag_ns``: for a box that may be slower than the wall clock. Its steps are short. If they lag behind by more, the
-    lab's time is delayed, for box and robot alike, and ``delayed`` is called the first time.
+    ``longest_lag_ns``: for a box that may be slower than the wall clock. Its steps are short. If they lag behind by
+    more, the lab's time is delayed, for box and robot alike, and ``delayed`` is called the first time.
     """
 
     pause_s: float = TICK_S
@@ -34,7 +35,8 @@ class Pace:
     delayed: Callable[[], None] = lambda: None
 
 
-# An emulated chip takes most of the wall clock's time: a pause before a request would delay the answer. Its first steps are slow.
+# An emulated chip takes most of the wall clock's time: a pause before a request would delay the answer. Its first steps
+# are slow.
 EMULATED = Pace(50e-6, 100_000_000)
 
 

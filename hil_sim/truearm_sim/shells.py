@@ -1,7 +1,7 @@
 """Goswami's plan: poses on shells about the chucks, shared evenly by the pairings, in an order with short moves.
 
-``truearm plan ballbar`` chooses among such poses and adds via points. Here all are measured as they come, and those with
-the most expensive moves are dropped.
+``truearm plan ballbar`` chooses among such poses and adds via points. Here all are measured as they come, and those
+with the most expensive moves are dropped.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ SURPLUS = 1.25  # poses searched for per pose visited
 
 
 def plan_shells(knowledge: Knowledge, bar: str, n_poses: int = 800, seed: int = 0, speed: Floats | None = None) -> Plan:
-    """Return ``n_poses`` poses with one bar, spread evenly over all pairings of a chuck and a sphere, in order of their
-    visits.
+    """Return ``n_poses`` poses with one bar, spread evenly over all pairings of chuck and sphere, in visiting order.
 
     ``speed`` (j,) [rad/s] weights the joints when the order of visits is chosen. Shells are named ``<bar>-<chuck>``.
     Raises PlanError if the arm has no branch or cannot reach that many points.

@@ -68,8 +68,9 @@ class SimulatedBox:
         setup: BoxSetup | None = None,
         power_on: PowerOn | None = None,
     ) -> None:
-        """Create a box. ``edges``: of its trigger inputs, true time, in order. ``setup``: by default that of the
-        world's box.
+        """Create a box.
+
+        ``edges``: of its trigger inputs, true time, in order. ``setup``: by default that of the world's box.
 
         ``power_on`` creates the hardware of a boot; by default a ``VmBox`` with ``interpreter`` (None: CPython).
         """

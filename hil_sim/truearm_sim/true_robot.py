@@ -37,8 +37,9 @@ class Tolerance:
 
 
 def true_params(robot: Robot, seed: int, tolerance: Tolerance | None = None) -> Floats:
-    """Return the true parameters (p,): the measured ones of a robot file unless a tolerance is given; otherwise random
-    ones.
+    """Return the true parameters (p,): the measured ones of a robot file unless a tolerance is given.
+
+    Otherwise random ones.
 
     The random ones depend on the seed.
     """

@@ -35,7 +35,7 @@ class Feed:
         return k0, self.given
 
     def stamps(self, k0: int, k1: int) -> bytes:
-        """Return the lower 32 bits of the hardware timer, in whole microseconds since boot, at the latest samples taken."""
+        """Return the lower 32 bits of the hardware timer, in whole µs since boot, at the latest samples taken."""
         if k1 > self._stamped:
             self._stamped = k0 + _STAMPS
             stamps = (self.first_ns + np.arange(k0, self._stamped, dtype=np.int64) * self.period_ns) // 1000

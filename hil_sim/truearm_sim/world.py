@@ -157,8 +157,9 @@ class World:
         robot: Robot | None = None,
         setup: Setup = USUAL,
     ) -> None:
-        """Create a world. ``robot``: the PUMA 560 by default. ``params`` (p,): its true ones, by default
-        ``true_params``.
+        """Create a world.
+
+        ``robot``: the PUMA 560 by default. ``params`` (p,): its true ones, by default ``true_params``.
 
         ``arm``: a stiff one by default. Raises PlanError if the plan names something missing in the rig, and for a line
         that cannot be driven.
@@ -279,7 +280,9 @@ class World:
         t_start_device_ns: int,
         period: int,
     ) -> NDArray[Any]:
-        """Return samples k0 ≤ k < k1, read only, from whole blocks; ``make`` creates each from its device times [ns] and number.
+        """Return samples k0 ≤ k < k1, read only, from whole blocks.
+
+        ``make`` creates each from its device times [ns] and number.
 
         The last block is kept: readers request the next few samples of it.
         """
@@ -351,8 +354,9 @@ class World:
         return sensors.flight_times(position / (1.0 + self._flaws.sound), self._lost_stops, self.seed, block)
 
     def robot_lines(self, t0_ns: int, t1_ns: int, level: Level | None = None) -> tuple[NDArray[np.int64], list[bytes]]:
-        """Return true times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after
-        its end.
+        """Return true times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1.
+
+        None after its end.
 
         ``level``: of the wire to the controller's digital input, at true times.
         """

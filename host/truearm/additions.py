@@ -73,7 +73,10 @@ def instance(kind: type) -> Callable[[Any], Any]:
 
 
 def plug_in_error(error: BaseException) -> PlugInError | None:
-    """Return an error that names the line of another package's code in which an exception arose; None if it is not in the traceback."""
+    """Return an error that names the line of another package's code in which an exception arose.
+
+    None if it is not in the traceback.
+    """
     packages = {entry.module.partition(".")[0] for group in GROUPS for entry in additions(group).values()}
     for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
         if str(frame.f_globals.get("__name__")).partition(".")[0] in packages:

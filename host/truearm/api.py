@@ -328,7 +328,8 @@ def identify(
     table : ObservationTable
         The observations.
     rig : Rig, str, path or mapping of str to Rig, optional
-        The rig, or rig file, that the rows refer to, or rigs by the names in the table's column ``rig``. Default: an empty rig.
+        The rig, or rig file, that the rows refer to, or rigs by the names in the table's column ``rig``. Default: an
+        empty rig.
     hold_out : str, float, sequence of str or array of bool
         Rows to use for validation only: groups such as ``"bar=bar61"``, a fraction such as 0.2, or a mask (n,).
     options : IdentifyOptions, optional
@@ -552,7 +553,8 @@ def correct_poses(
     poses : array (n, 4, 4) or (4, 4)
         Target poses of the end frame in the base frame: rotation matrix and position [m].
     method : str
-        "newton", "false-target", "joints" or "offsets". The first is the full inverse; the others are those of Renders 1991.
+        "newton", "false-target", "joints" or "offsets". The first is the full inverse; the others are those of Renders
+        1991.
     own_frames : bool
         The poses are given in the robot's own base and flange frames: do not correct the mounting of base and tool.
     home : sequence of float, optional
@@ -567,7 +569,8 @@ def correct_poses(
     -------
     Correction
         ``commanded`` (n, 4, 4) holds the poses to command and ``q`` (n, j) the joint readings to move to. ``before``
-        and ``after`` (n, 2) are the errors in m and rad. ``status`` is "corrected" or the reason why not, for each pose.
+        and ``after`` (n, 2) are the errors in m and rad. ``status`` is "corrected" or the reason why not, for each
+        pose.
 
     Raises
     ------
@@ -620,8 +623,8 @@ def export_robot(
     adjust : sequence of str
         Patterns of the parameters that may change, such as ``"joint*.offset"``. Default: all.
     over : array (n, j), optional
-        Joint vectors [rad, m] over which a refit minimises the error. Default: 600 random ones within the joint limits, or within
-        the fitted readings if the result has joint laws.
+        Joint vectors [rad, m] over which a refit minimises the error. Default: 600 random ones within the joint limits,
+        or within the fitted readings if the result has joint laws.
 
     Returns
     -------
@@ -670,8 +673,8 @@ def error_map(
     joints : pair of int
         The two joints that span the section, counted from 1. Their axes must be parallel.
     at : sequence of float, optional
-        Joint readings (j,) [rad, m] at which the other joints are held; the two have the configuration of the elbow there.
-        Default: the middle of the fitted readings; the map then ends where these end.
+        Joint readings (j,) [rad, m] at which the other joints are held; the two have the configuration of the elbow
+        there. Default: the middle of the fitted readings; the map then ends where these end.
     cell : float
         Size of a cell [m].
     own_frames : bool
@@ -680,8 +683,8 @@ def error_map(
     Returns
     -------
     ErrorMap
-        ``error`` and ``sigma`` [m] of each cell; NaN where the arm cannot reach. ``sigma`` is relative to base and tool if
-        the observations do not determine their poses.
+        ``error`` and ``sigma`` [m] of each cell; NaN where the arm cannot reach. ``sigma`` is relative to base and tool
+        if the observations do not determine their poses.
 
     Raises
     ------

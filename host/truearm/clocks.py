@@ -1,8 +1,8 @@
 """Relate two clocks by what is known of one clock's time at stamps of the other.
 
 Each row has a stamp x of one clock, and the earliest and latest time of the other clock at x. An exchange of messages
-gives both; a message with a stamp gives the latest alone. ``fit`` returns a ``Clock``, which converts stamps to times with
-bounds.
+gives both; a message with a stamp gives the latest alone. ``fit`` returns a ``Clock``, which converts stamps to times
+with bounds.
 
 Both clocks are crystals, so their relative rate stays within ``wander`` of its mean. A row therefore bounds the time
 everywhere, more loosely the farther away. ``Band`` is what all rows together leave: running minima over the rows before
@@ -102,8 +102,8 @@ class Steady:
     def from_rows(cls, rows: Band, wander: float, course_wander: float | None) -> Steady:
         """Bound the rate by rows far apart, unless it then contradicts the rows: it is within ``wander`` of no mean.
 
-        The rates of the course follow from y at the rows, at first the middle of the range, then the estimate. They are off
-        by no more than the ranges at both ends allow.
+        The rates of the course follow from y at the rows, at first the middle of the range, then the estimate. They are
+        off by no more than the ranges at both ends allow.
         """
         band = rows.with_rate(0.5 * (rows.x[-1] - rows.x[0]), wander)
         band = rows if np.any(band.contradicts(band)) else band
@@ -168,7 +168,10 @@ def _middle(low: Floats, high: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Step:
-    """One of the clocks stepped between two stamps [ns]; ``by_ns``: how far the time advanced relative to the stamps."""
+    """One of the clocks stepped between two stamps [ns].
+
+    ``by_ns``: how far the time advanced relative to the stamps.
+    """
 
     before_ns: int
     after_ns: int
@@ -187,7 +190,8 @@ class Clock:
     def to_time(self, stamps: Ints) -> tuple[Ints, Floats]:
         """Return the times (n,) [ns] of stamps (n,) [ns] and the bounds (n,) of their errors [ns].
 
-        A bound is infinite if nothing was sent to the clock that stamps: the times are then late by the shortest latency.
+        A bound is infinite if nothing was sent to the clock that stamps: the times are then late by the shortest
+        latency.
         """
         stamps_ns = np.asarray(stamps, dtype=np.int64) - self.stamp_ref
         t = stamps_ns.astype(float)
@@ -253,12 +257,12 @@ def fit(
 ) -> Clock | None:
     """Relate a clock that stamps to a clock that tells the time; None without a row.
 
-    ``stamps`` (k,) [ns], in any order. ``latest`` (k,) [ns]: a time that had not passed at the stamp, such as that of the
-    arrival of a message. ``earliest`` (k,) [ns]: a time that had passed, such as that at which a request was sent.
-    Without it the times are those of the fastest messages, no bound is known and no step is seen. ``wander``: WANDER, or
-    SLEWED_WANDER if the operating system slews one of the clocks. ``course_wander``: how far the rate may be from its mean
-    over the two minutes around, if that is known; it narrows the bound unless rows contradict it. Raises TypeError if a
-    column does not hold integers, ValueError if their lengths differ.
+    ``stamps`` (k,) [ns], in any order. ``latest`` (k,) [ns]: a time that had not passed at the stamp, such as that of
+    the arrival of a message. ``earliest`` (k,) [ns]: a time that had passed, such as that at which a request was sent.
+    Without it the times are those of the fastest messages, no bound is known and no step is seen. ``wander``: WANDER,
+    or SLEWED_WANDER if the operating system slews one of the clocks. ``course_wander``: how far the rate may be from
+    its mean over the two minutes around, if that is known; it narrows the bound unless rows contradict it. Raises
+    TypeError if a column does not hold integers, ValueError if their lengths differ.
     """
     columns = (stamps, latest, latest if earliest is None else earliest)
     rows = np.stack(columns, dtype=np.int64, casting="same_kind")

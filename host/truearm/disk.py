@@ -1,7 +1,7 @@
 """Read external files within limits, and write files atomically: a reader sees either the old file or the new one.
 
-What to say of a file that does not exist or that the system refuses; the kinds of file by their first bytes; and the lock
-of a file that is being written.
+What to say of a file that does not exist or that the system refuses; the kinds of file by their first bytes; and the
+lock of a file that is being written.
 """
 
 from __future__ import annotations
@@ -143,10 +143,10 @@ def system_reason(exc: Exception) -> str:
 
 # ---------------------------------------------------------------------------------------------------------------- locks
 #
-# The process that writes a session holds a lock on it, so that other programs can see whether a recording is still running.
-# The lock is the operating system's (flock): it is released when the process ends, in whatever way. It prevents nobody from
-# reading or deleting the file. If the system has no locks, or a network drive refuses them, a file that was written to
-# recently counts as held.
+# The process that writes a session holds a lock on it, so that other programs can see whether a recording is still
+# running. The lock is the operating system's (flock): it is released when the process ends, in whatever way. It
+# prevents nobody from reading or deleting the file. If the system has no locks, or a network drive refuses them, a file
+# that was written to recently counts as held.
 
 try:
     import fcntl
@@ -420,8 +420,9 @@ def _is_running(process: int) -> bool:
 
 
 def own_folder(path: Path, mark: str) -> None:
-    """Make ``path`` a folder whose files truearm may replace: a new or empty one, or one that contains the file
-    ``mark``.
+    """Make ``path`` a folder whose files truearm may replace.
+
+    It is a new or empty one, or one that contains the file ``mark``.
 
     Raises InputError for any other folder, WriteError if the disk is full or fails.
     """

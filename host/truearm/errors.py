@@ -72,8 +72,8 @@ _PLACE = re.compile(r"[^\s;]+|--[^;]+|[^;]*(?:\w\.[a-z]|[/\\_])[^;]*")
 class TruearmError(Exception):
     """Base class of all truearm errors; the text is one line that states what is wrong and what to do.
 
-    ``finding`` has the error's code and values, ``noticed`` are findings about data that were read before: they may be its
-    cause. An argument of a wrong type raises TypeError instead.
+    ``finding`` has the error's code and values, ``noticed`` are findings about data that were read before: they may be
+    its cause. An argument of a wrong type raises TypeError instead.
 
     Examples
     --------

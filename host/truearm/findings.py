@@ -72,7 +72,7 @@ class Finding:
 
 
 def stated(code: str, *sources: Mapping[str, Any], **values: Any) -> Finding:
-    """Return a finding with the ``values``, and with those of ``sources`` (the first has precedence) that its text names.
+    """Return a finding with the ``values``, and those of ``sources`` (the first has precedence) that its text names.
 
     Numbers with a unit become a quantity: "rms_mm" and "rms_deg" are {"mm": …, "deg": …} under the name "rms".
     """
@@ -99,7 +99,7 @@ class Reason:
 
 
 def ordered(findings: Sequence[Finding], simulated: bool = False) -> list[Finding]:
-    """Return the verdict, which is the first of the findings, and the others by severity; before it that data are simulated."""
+    """Return the verdict, the first finding, and the others by severity; before it that data are simulated."""
     severities = list(Severity)
     following = sorted(findings[1:], key=lambda finding: severities.index(finding.severity))
     return [*([Finding("simulated")] if simulated else []), *findings[:1], *following]
@@ -118,10 +118,11 @@ def findings_of(document: Mapping[str, Any]) -> list[Finding]:
 def worded(template: str, values: Mapping[str, Any], argument: Callable[[str], str] = str) -> str:
     """Return a template with its values.
 
-    ``{name}``: a text, a list of texts, or a quantity. ``{names:4}``: at most four of a list. ``{n:#row}``: "1 row", "2 rows"; ``{n:#entry|entries}``.
-    ``{n:?is|are}``: the first for one. ``{texts:;}``: all of a list, which may have commas. ``{@loss}``: the argument of
-    this name; ``{rows:@leave_out}``: it, before each text of a list. ``@@`` in a command: the option in Python too. ``[…]`` is left out if one of its values is
-    absent or false, or replaced by ``B`` in ``[A||B]``; ``{name:!}`` prints nothing, so that only its presence matters.
+    ``{name}``: a text, a list of texts, or a quantity. ``{names:4}``: at most four of a list. ``{n:#row}``: "1 row", "2
+    rows"; ``{n:#entry|entries}``. ``{n:?is|are}``: the first for one. ``{texts:;}``: all of a list, which may have
+    commas. ``{@loss}``: the argument of this name; ``{rows:@leave_out}``: it, before each text of a list. ``@@`` in a
+    command: the option in Python too. ``[…]`` is left out if one of its values is absent or false, or replaced by ``B``
+    in ``[A||B]``; ``{name:!}`` prints nothing, so that only its presence matters.
     """
     words = _Words(argument)
 

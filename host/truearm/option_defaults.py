@@ -1,5 +1,6 @@
-"""The defaults of the options of ``init``, ``identify``, ``correct`` and ``plan``, for the command line and the records of options in
-``workflows``.
+"""The defaults of the options of ``init``, ``identify``, ``correct`` and ``plan``.
+
+The command line and the records of options in ``workflows`` use them.
 
 Through those records the Python API uses them too. The users of these values check them, including names. ``--help``
 reads this, so it imports nothing.

@@ -75,7 +75,9 @@ def asked_to_stop() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Disable cyclic garbage collection while many objects without cycles are made: it would scan all of them repeatedly.
+    """Disable cyclic garbage collection while many objects without cycles are made.
+
+    It would scan all of them repeatedly.
 
     At the end they join the objects that are scanned least often, or the first of many small allocations would scan
     them all.

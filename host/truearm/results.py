@@ -97,8 +97,8 @@ class NullDirection:
             raise ValueError("needs a weight for each of its names")
 
 
-# m, rad by which a null direction, of the largest weight 1, may move a point that it leaves at rest. Complete directions move
-# it by 1e-10 at most, stored ones, which lack up to a hundred parts of 1e-6, by up to this.
+# m, rad by which a null direction, of the largest weight 1, may move a point that it leaves at rest. Complete
+# directions move it by 1e-10 at most, stored ones, which lack up to a hundred parts of 1e-6, by up to this.
 MOVES = 1e-4
 
 
@@ -114,7 +114,10 @@ def weights_of(directions: Sequence[NullDirection], names: Sequence[str]) -> Flo
 
 
 def largest_terms(weights: Iterable[float], names: Iterable[str]) -> list[tuple[float, str]]:
-    """Return the terms of a direction in descending order; those that are equal but for rounding, in their own order."""
+    """Return the terms of a direction in descending order.
+
+    Those that are equal but for rounding, in their own order.
+    """
     return sorted(zip(weights, names, strict=True), key=lambda term: -round(abs(term[0]), 6))
 
 
@@ -191,7 +194,7 @@ class DriftWith(StrEnum):
 
 @dataclass(frozen=True)
 class Effect:
-    """A systematic error of ``what`` in the rows from ``first`` up to but excluding ``last`` (None: to the end), from 0.
+    """A systematic error of ``what`` in the rows from ``first`` to before ``last`` (None: to the end), from 0.
 
     ``what`` is an item of a rig ("chuck.c2", "bar.b46.zero"), a joint, or "base". The error is an offset in these rows
     or, if it ``drifts_with`` something, linear in that variable. That of a joint which ``drifts_with`` its direction is
@@ -248,9 +251,10 @@ class Size(NamedTuple):
 class Diagnosis:
     """An error that the rows show and chance does not explain (docs/explanation/hypotheses.md).
 
-    ``rivals`` are its possible causes, the most probable first; the rows do not decide between them. No measurement at these poses can
-    distinguish the first from its ``aliases``. ``sizes`` are those of the first. ``deciding`` are the names that are mounted
-    in the rows, such as chuck and sphere, that would decide best if they were measured again at the end.
+    ``rivals`` are its possible causes, the most probable first; the rows do not decide between them. No measurement at
+    these poses can distinguish the first from its ``aliases``. ``sizes`` are those of the first. ``deciding`` are the
+    names that are mounted in the rows, such as chuck and sphere, that would decide best if they were measured again at
+    the end.
     """
 
     rivals: tuple[Rival, ...]
@@ -268,11 +272,11 @@ class ToolClaim:
     """The stated RMS error of the tool [m] in parts whose squares add up.
 
     ``parameters``: by the noise of the rows. ``unnamed``: by faults that the rows neither show nor exclude. ``rivals``:
-    by not knowing which cause a fault has. ``shift``: by not applying the mean of the causes. ``noise`` is the
-    declared one or a kernel that was learned, of which the standard deviation is ``noise_factor`` times the declared one.
-    ``chi2_reduced`` is that with the faults as parameters. ``unseen`` are the sizes, by SI unit, from which faults that need
-    not show in these rows exceed twice the stated error, ``refused`` what is beyond chance but does not predict rows that
-    were left out.
+    by not knowing which cause a fault has. ``shift``: by not applying the mean of the causes. ``noise`` is the declared
+    one or a kernel that was learned, of which the standard deviation is ``noise_factor`` times the declared one.
+    ``chi2_reduced`` is that with the faults as parameters. ``unseen`` are the sizes, by SI unit, from which faults that
+    need not show in these rows exceed twice the stated error, ``refused`` what is beyond chance but does not predict
+    rows that were left out.
     """
 
     parameters: Annotated[float, MM]
@@ -354,7 +358,7 @@ class Gain(StrEnum):
 
 
 class MeanChange(NamedTuple):
-    """Mean errors of ``n`` poses that were not fitted: of the nominal robot with base and tool placed, and after the fit."""
+    """Mean errors of ``n`` poses that were not fitted: of the nominal robot as mounted, and after the fit."""
 
     before: float
     after: float
@@ -363,20 +367,22 @@ class MeanChange(NamedTuple):
 
 
 class ResidualParts(NamedTuple):
-    """RMS residual of the fitted rows in one SI unit, split into the part due to declared noise and the unexplained part."""
+    """RMS residual of the fitted rows in one SI unit, split into the parts due to declared noise and unexplained."""
 
     declared: float
     unexplained: float
 
 
 class Scatter(NamedTuple):
-    """Errors of the arm itself, learned from the residuals by their evidence (``estimate.scatter``): standard deviations.
+    """Errors of the arm itself, as standard deviations.
+
+    They are learned from the residuals by their evidence (``estimate.scatter``).
 
     ``shared`` [m] and ``turned`` [rad] are of a displacement along, and a rotation about, each axis of the end that the
     rows of a pose share; ``joint`` of an error of each joint [rad, m of ``linear`` ones]. Beside them, the sensors'
-    variances are ``factor`` times the declared ones. ``nats``: by how much the arm's errors raise the log evidence over a
-    factor alone. ``n``: poses with several rows; 0 if fewer than half of the rows are in one of these. ``at_tool`` [m]:
-    RMS motion of the measured points by each joint's error, which is what the rows show of it.
+    variances are ``factor`` times the declared ones. ``nats``: by how much the arm's errors raise the log evidence over
+    a factor alone. ``n``: poses with several rows; 0 if fewer than half of the rows are in one of these. ``at_tool``
+    [m]: RMS motion of the measured points by each joint's error, which is what the rows show of it.
     """
 
     factor: float
@@ -390,7 +396,7 @@ class Scatter(NamedTuple):
 
 
 class OtherFit(NamedTuple):
-    """A fit of other rows than the estimate's: with ``n`` outliers that it lacks, or without ``n`` bad rows that it has."""
+    """A fit of other rows than the estimate's: with ``n`` outliers that it lacks, or without ``n`` bad ones."""
 
     n: int
     value: Floats  # (p,) of all parameters
@@ -409,7 +415,9 @@ class Period(NamedTuple):
 
 @dataclass(frozen=True)
 class TriedLaw:
-    """A joint law that was tried. It raises the log evidence by ``nats``; ``estimate.law_choice`` says when it is ``kept``.
+    """A joint law that was tried.
+
+    It raises the log evidence by ``nats``; ``estimate.law_choice`` says when it is ``kept``.
 
     ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses; NaN unless
     the law is kept. Of a curve that is kept, ``covered`` are the intervals of readings [rad] that it is known in,
@@ -441,8 +449,8 @@ class LawStep(NamedTuple):
 class JointLaws:
     """The joint laws beyond offset and gain in an identification.
 
-    ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` are
-    why other laws, or all of them, were not tried. The noise that was learned beside them is the estimate's ``scatter``.
+    ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` are why other laws, or
+    all of them, were not tried. The noise that was learned beside them is the estimate's ``scatter``.
     """
 
     mode: str  # one of ``estimate.solvers.LawMode``
@@ -456,10 +464,10 @@ class JointLaws:
 
 
 class PredictedError(NamedTuple):
-    """Predicted error of the measured point on the end, over the measured poses: by the parameters' covariance and ``scatter``.
+    """Predicted error of the measured point over the measured poses: by the parameters' covariance and ``scatter``.
 
-    ``scatter`` is that of the arm itself, learned from the rows; 0 if it was not. If ``relative``, the error excludes the
-    part that moves all poses as one rigid body, which observations in sockets or by a device of unknown pose cannot
+    ``scatter`` is that of the arm itself, learned from the rows; 0 if it was not. If ``relative``, the error excludes
+    the part that moves all poses as one rigid body, which observations in sockets or by a device of unknown pose cannot
     determine.
     """
 
@@ -473,7 +481,8 @@ class PredictedError(NamedTuple):
     def exceeds(self, unexplained: Mapping[str, MeanError]) -> bool:
         """Return whether it is larger than the mean error of poses that were not fitted.
 
-        Those show only the errors that the rows measure: a tool error along a direction that no row sees is not in them.
+        Those show only the errors that the rows measure: a tool error along a direction that no row sees is not in
+        them.
         """
         return "m" in unexplained and self.rms > unexplained["m"].mean
 

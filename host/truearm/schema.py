@@ -141,8 +141,9 @@ def _annotated(hint: Any) -> Iterator[Value]:
 
 @dataclass(frozen=True)
 class Number(Value):
-    """A finite number in an SI unit of ``UNITS``, between ``least`` and ``most`` [SI]; those default to ± the unit's
-    largest.
+    """A finite number in an SI unit of ``UNITS``, between ``least`` and ``most`` [SI].
+
+    Those default to ± the unit's largest.
 
     ``positive``: 0 is too small. A number that may not be negative must not be so small that it is probably an error
     (``units.SMALLEST``). ``unknown``: the word "unknown" is accepted and read as None. ``spelled``: the suffixes that

@@ -72,7 +72,10 @@ def without_nan(value: Any) -> Any:
 
 
 def strict_json(value: Any) -> str:
-    """Return a value as JSON text with one line for each innermost list or object; a number that does not exist is null."""
+    """Return a value as JSON text with one line for each innermost list or object.
+
+    A number that does not exist is null.
+    """
     return _json_text(without_nan(value), 0)
 
 

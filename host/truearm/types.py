@@ -1,7 +1,7 @@
 """The data that go into an identification: arrays, the rig, tables, plans, joint laws. All are in SI units and frozen.
 
-They only check their shapes: ``n`` rows, ``j`` joints. Public objects are ``Displayed``: one line in a terminal, a small
-table in a notebook, a pandas.DataFrame.
+They only check their shapes: ``n`` rows, ``j`` joints. Public objects are ``Displayed``: one line in a terminal, a
+small table in a notebook, a pandas.DataFrame.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ COLUMNS_SHOWN = 10
 
 
 class Displayed:
-    """A base class of objects that have a headline and, if they are a table, columns (n,) or (n, k) by title, in SI units.
+    """A base class of objects with a headline and, if they are tables, columns (n,) or (n, k) by title, in SI units.
 
     Columns without any value are not shown. A column (n, k) becomes k columns, numbered from 1.
     """
@@ -275,15 +275,14 @@ class Rig(Displayed, Checked):
     """The rig around the robot: chucks on the table, spheres on the end, bars, sockets, lines, trackers and planes.
 
     Chucks are given in the frame of the chuck fixture, which is the base frame of the chain. Spheres and targets (the
-    points that lines and trackers measure and that touch planes) are given in the end frame of the chain. ``seat_sigma``
-    [m] is the standard deviation of each coordinate of a ball seated in a socket. ``sockets`` (base frame), by place
-    and name, holds the sockets with prior information; all others are placed by their own seats.
+    points that lines and trackers measure and that touch planes) are given in the end frame of the chain.
+    ``seat_sigma`` [m] is the standard deviation of each coordinate of a ball seated in a socket. ``sockets`` (base
+    frame), by place and name, holds the sockets with prior information; all others are placed by their own seats.
 
     If ``lines`` is empty, rows may name any line, with noise ``line_sigma`` [m] along the device's x, y, z (Renders
-    1991, III-C); otherwise ``lines`` must contain every line that rows name. ``line_placement``
-    is how a line without a pose is initially placed, "least_squares" or "two_point" (by its first two points).
-    ``line_travel`` [m] is the full range of the device's transverse sensors, which read ±line_travel/2; None means any
-    reading is used.
+    1991, III-C); otherwise ``lines`` must contain every line that rows name. ``line_placement`` is how a line without a
+    pose is initially placed, "least_squares" or "two_point" (by its first two points). ``line_travel`` [m] is the full
+    range of the device's transverse sensors, which read ±line_travel/2; None means any reading is used.
 
     ``time_offset`` τ [s] means that the joints were truly at q(t) = q_reading(t + τ); only rows with velocities depend
     on it. ``time_offset_sigma`` works like the ``sigma`` of a Device. ``joint_cov`` S_q [rad², m²] is the covariance
@@ -459,7 +458,7 @@ def rms_of_columns(values: Floats) -> Floats:
 
 
 class CurveKnots(Struct, frozen=True, tag_field="term", tag="curve"):
-    """The error curve of one joint: ``count`` coefficients at intervals of ``spacing`` [rad], repeating if ``periodic``.
+    """The error curve of one joint: ``count`` coefficients ``spacing`` [rad] apart, repeating if ``periodic``.
 
     ``covered`` [rad]: the intervals of readings near fitted ones, in ascending order. Elsewhere the curve is unknown.
     """
@@ -491,13 +490,13 @@ class Payload(NamedTuple):
     centre: Annotated[tuple[float, float, float], MM] = (0.0, 0.0, 0.0)
 
     def is_like(self, payload: Payload) -> bool:
-        """Return whether masses and centres are equal to a gram and to a tenth of a millimetre; without mass, any centre is."""
+        """Return whether masses and centres are equal to a gram and 0.1 mm; without mass, any centre is."""
         distance = max(abs(a - b) for a, b in zip(self.centre, payload.centre, strict=True))
         return abs(self.mass - payload.mass) < 1e-3 and (distance < 1e-4 or self.mass < 1e-3)
 
 
 class SagMasses(Struct, frozen=True, tag_field="term", tag="sag"):
-    """The sag of one joint: the frames with unit masses at their origins, and the direction of gravity in the base frame.
+    """The sag of one joint: the frames with unit masses at their origins, and gravity's direction in the base frame.
 
     With ``payload``, the torque of the known payload acts too, times one more parameter: the joint's compliance.
     """

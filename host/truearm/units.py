@@ -82,9 +82,9 @@ class Unit:
 
     ``own``: the SI unit as a scale. ``scale``: its display unit. Keys and columns of files may be written in either.
     ``decimals``: of a value with its standard deviation. ``largest``: a larger number [SI] was written in another unit.
-    ``weak_sigma`` and ``wide_sigma``: σ [SI] of a drawing, and of manual mounting (``estimate.uncertainty``); a parameter
-    known less well than ``weak_sigma`` is hardly identifiable. ``vague_sigma``: σ [SI] that represents no knowledge
-    where a plan needs a finite one. ``others``: further scales that only some files or displays have.
+    ``weak_sigma`` and ``wide_sigma``: σ [SI] of a drawing, and of manual mounting (``estimate.uncertainty``); a
+    parameter known less well than ``weak_sigma`` is hardly identifiable. ``vague_sigma``: σ [SI] that represents no
+    knowledge where a plan needs a finite one. ``others``: further scales that only some files or displays have.
     """
 
     own: Scale
@@ -146,7 +146,7 @@ def named(name: str, suffix: str) -> str:
 
 
 def length(name: str, si: tuple[str, ...] = ("m",)) -> Scale | None:
-    """Return the unit of length (or of another ``si``) with this suffix or symbol ("um" and "µm" are the same), or None."""
+    """Return the unit of length (or another ``si``) with this suffix or symbol ("um" and "µm" are equal), or None."""
     return next((s for s in SUFFIXES.values() if s.si in si and name in (s.suffix, s.symbol)), None)
 
 
@@ -178,7 +178,10 @@ def number(value: float, si: str, decimals: int | None = None) -> str:
 
 
 def size(value: float | None, unit: Scale, fewer: int = 0) -> str:
-    """Return a value in ``unit`` as text with its symbol, with ``fewer`` decimals than its SI unit has; "-" for None."""
+    """Return a value in ``unit`` as text with its symbol, with ``fewer`` decimals than its SI unit has.
+
+    "-" for None.
+    """
     return "-" if value is None else f"{value:.{UNITS[unit.si].decimals - fewer}f} {unit.symbol}"
 
 

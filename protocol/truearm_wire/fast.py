@@ -196,7 +196,7 @@ def add(buf: ptr8, at: int, width: int, n: int):
 
 @micropython.viper
 def extend(now: ptr8, lo: ptr8, lo_at: int, out: ptr8, at: int):
-    """Extend the 32-bit big-endian stamp lo[lo_at:lo_at + 4], not later than the 64-bit time `now`, to 64 bits in `out`.
+    """Extend the 32-bit big-endian stamp lo[lo_at:lo_at + 4], not later than 64-bit `now`, to 64 bits in `out`.
 
     SPEC §3: the upper word is that of `now`, or one less if the stamp's lower word is greater.
     """

@@ -1,24 +1,25 @@
 """The simulated board: its hardware is in the parent process and advances by grants, over standard input and output.
 
-A grant contains the device time, bytes received over the link, latched samples and edges, and the number of bytes that the
-link accepts. The firmware then runs until it has nothing to do; everything it sent goes back in one answer. Time stands
-still in between, so a run is deterministic, and as fast as the two processes are. Real time is the same
-with grants timed by the wall clock. (The parent's half is truearm_sim/box.py.)
+A grant contains the device time, bytes received over the link, latched samples and edges, and the number of bytes that
+the link accepts. The firmware then runs until it has nothing to do; everything it sent goes back in one answer. Time
+stands still in between, so a run is deterministic, and as fast as the two processes are. Real time is the same with
+grants timed by the wall clock. (The parent's half is truearm_sim/box.py.)
 
     grant   "G" flags  n_rx:u16  tx_room:u16  now:u64  temperature:i32  n_edges:u8  fault:u8
             n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64  n_thermometers:u8
-            then rx bytes, stamps:u32 of the converter's samples and the samples (4 x i32 little endian), the same of the
-            magnetostrictive head (ticks:i32 little endian), edges (line, rising, stamp:u32), thermometers (uid:8,
-            temperature:i32, 0x7fffffff: it does not answer), what each further sensor would read now (i32 little endian for
-            each channel); 4096 bytes at most
+            then rx bytes, stamps:u32 of the converter's samples and the samples (4 x i32 little endian), the same
+            of the magnetostrictive head (ticks:i32 little endian), edges (line, rising, stamp:u32), thermometers
+            (uid:8, temperature:i32, 0x7fffffff: it does not answer), what each further sensor would read now (i32
+            little endian for each channel); 4096 bytes at most
     answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16
             wake:u32, then tx bytes
 
-All big endian except the samples. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next block
-raises an exception, 4 quit. `fault` is of the last converter sample: 1 its CRC was wrong, 2 the reset bit was set. Flags of an
-answer: 1 the converter samples, 2 reset, 4 the magnetostrictive head samples, 8 the trigger output is high, 16 the firmware fed its
-watchdog, 32 it left for the prompt, 64 for the boot loader. `rx_room` is flow control, as in USB: the parent keeps what does not
-fit. `wake`: the firmware wants to run again after this many microseconds in any case; a real one always runs.
+All big endian except the samples. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next
+block raises an exception, 4 quit. `fault` is of the last converter sample: 1 its CRC was wrong, 2 the reset bit was
+set. Flags of an answer: 1 the converter samples, 2 reset, 4 the magnetostrictive head samples, 8 the trigger output is
+high, 16 the firmware fed its watchdog, 32 it left for the prompt, 64 for the boot loader. `rx_room` is flow control, as
+in USB: the parent keeps what does not fit. `wake`: the firmware wants to run again after this many microseconds in any
+case; a real one always runs.
 """
 
 import gc

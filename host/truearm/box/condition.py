@@ -32,8 +32,9 @@ MAX_RESULTS = 64
 
 @dataclass(frozen=True)
 class Purpose:
-    """What is to be measured; ``osr`` is the requested one, None: as set in the box; ``device`` is the box's port, for
-    the commands in messages.
+    """What is to be measured.
+
+    ``osr`` is the requested one, None: as set in the box; ``device`` is the box's port, for the commands in messages.
     """
 
     ball_bar: bool = False
@@ -43,8 +44,10 @@ class Purpose:
 
 
 def check_box(ident: Ident, purpose: Purpose, today: date) -> Iterator[Finding]:
-    """Return missing, incorrectly described and uncalibrated channels, which make a session worthless, and as warnings
-    long-uncalibrated ones, and rates other than requested.
+    """Return findings about channels and rates.
+
+    Missing, incorrectly described and uncalibrated channels make a session worthless. Long-uncalibrated ones, and rates
+    other than requested, are warnings.
     """
     device = [purpose.device]
     names = ((LVDT,) if purpose.ball_bar else ()) + (LINE_CHANNELS if purpose.line else ())
@@ -104,7 +107,10 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> Finding | N
 
 
 def usable_channel(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
-    """Return the stream with a channel, and the channel's index. Raises InputError if there is none that can be used."""
+    """Return the stream with a channel, and the channel's index.
+
+    Raises InputError if there is none that can be used.
+    """
     place = find_channels(ident, name)
     if place is None:
         names = [channel.name for stream in ident.streams.values() for channel in stream.channels]
@@ -215,11 +221,10 @@ ALWAYS = ("converter_id", "noise_0", "noise_1", "noise_2", "noise_3", "rail_5v",
 
 
 def findings(results: Mapping[str, Any], device: str = "DEVICE") -> dict[str, Finding]:
-    """Return the findings by name of the result, in the order of the signal path; unknown names come last, as judged by
-    the box.
+    """Return the findings by name of the result, in the order of the signal path; unknown names come last, as judged.
 
-    A result that cannot be read is a failure; a missing one of ``ALWAYS`` is a warning. ``device`` is the box's port, for
-    the commands in the remedies.
+    A result that cannot be read is a failure; a missing one of ``ALWAYS`` is a warning. ``device`` is the box's port,
+    for the commands in the remedies.
     """
     names = [name for name in CHECKS if name in results or name in ALWAYS]
     names += sorted(set(results) - set(CHECKS))[:MAX_RESULTS]

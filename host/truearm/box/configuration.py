@@ -183,7 +183,10 @@ def check(config: Values) -> Values:
 
 
 def mantissa_exponent(number: Decimal) -> list[int]:
-    """Return the wire's [mantissa, exponent] of a decimal number, exponent ≤ 0. Raises SchemaError for too many digits."""
+    """Return the wire's [mantissa, exponent] of a decimal number, exponent ≤ 0.
+
+    Raises SchemaError for too many digits.
+    """
     sign, digits, exponent = number.normalize().as_tuple()
     assert isinstance(exponent, int)  # of a finite number
     mantissa = int("".join(map(str, digits))) * (-1 if sign else 1)
@@ -237,8 +240,9 @@ def tables_of(config: Values, names: Sequence[object]) -> Iterator[tuple[str, Va
 
 
 def format_config(config: Values) -> str:
-    """Format a checked configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
-    them.
+    """Format a checked configuration as TOML.
+
+    Keys unknown to this version of truearm appear in comments: the box keeps them.
     """
     lines = [f"{HEADER} (truearm box config get, set). A key that is left out keeps its value in the box."]
     for path, values, table in tables_of(config, channel_names(config)):

@@ -37,7 +37,10 @@ STREAMING = 4  # error code, protocol/SPEC.md §4
 
 
 class Sent(NamedTuple):
-    """A frame sent by the box and its arrival time on the host; ``data``: of samples; ``fields``: the elements by name."""
+    """A frame sent by the box and its arrival time on the host.
+
+    ``data``: of samples; ``fields``: the elements by name.
+    """
 
     t_host_ns: int
     kind: int
@@ -48,8 +51,8 @@ class Sent(NamedTuple):
 class BoxControl:
     """The host's side of the communication with a box.
 
-    ``console_bytes`` counts bytes outside frames, ``frame_count``
-    the frames that are lost. ``heartbeat`` is the latest one, by name.
+    ``console_bytes`` counts bytes outside frames, ``frame_count`` the frames that are lost. ``heartbeat`` is the latest
+    one, by name.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -70,7 +73,10 @@ class BoxControl:
     # --- requests
 
     def identify(self, retries: int = RETRIES) -> Ident:
-        """Ask for the ident. Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol."""
+        """Ask for the ident.
+
+        Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol.
+        """
         self.command(wire.IDENTIFY, retries=retries)
         return self._requests.identified()
 
@@ -108,7 +114,10 @@ class BoxControl:
         return self._document(self.command(wire.SELF_TEST, retry_ns=SELF_TEST_RETRY_NS, retries=3), "self-test")
 
     def reset(self, mode: int) -> None:
-        """Restart the box, or have it enter its boot loader. The link may be lost in the process; that is not an error."""
+        """Restart the box, or have it enter its boot loader.
+
+        The link may be lost in the process; that is not an error.
+        """
         try:
             self.command(wire.RESET, mode)
         except (RefusedError, NoAnswerError):

@@ -204,7 +204,10 @@ def write_image(image: Image, drive: Path, name: str) -> None:
 
 
 def flash_box(options: FlashOptions) -> list[Finding]:
-    """Flash a box and wait for its answer; return what was written and what answers. Raises InputError, ImageError, LinkError."""
+    """Flash a box and wait for its answer; return what was written and what answers.
+
+    Raises InputError, ImageError, LinkError.
+    """
     earlier_ports = {port.device for port in usb_ports()} - {options.box}
     path = options.image or own_image()
     image = read_uf2(path)
@@ -273,8 +276,9 @@ def _only(drives: list[Path]) -> Path:
 
 
 def _wait_for_box(device: str | None, earlier_ports: set[str], timeout: float, drive: Path) -> Ident:
-    """Return the ident of the box that starts, at ``device`` or at a port that is not among ``earlier_ports``. Raises
-    LinkError.
+    """Return the ident of the box that starts, at ``device`` or at a port that is not among ``earlier_ports``.
+
+    Raises LinkError.
     """
     reason = ""
 

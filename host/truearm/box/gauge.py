@@ -110,7 +110,7 @@ def distinct_places(x: Floats) -> int:
 
 
 def possible_orders(x: Floats, highest: int = MAX_ORDER) -> range:
-    """Return the orders allowed by readings x (n,): SPARE points more than coefficients, fewer powers than positions."""
+    """Return the orders allowed by readings x (n,): SPARE more points than coefficients, fewer powers than places."""
     return range(1, min(highest, x.size - 1 - SPARE, distinct_places(x) - 2) + 1)
 
 
@@ -429,7 +429,9 @@ def _place_table(calibration: Calibration) -> Table:
 
 
 def gauge_channel(device: str, options: GaugeOptions, say: Say, ask: Ask) -> None:
-    """Sample a channel at references, fit its calibration, write the page and store it in the box if the operator agrees.
+    """Sample a channel at references, fit its calibration and write the page.
+
+    The calibration is stored in the box if the operator agrees.
 
     Raises InputError, TableError, LinkError.
     """

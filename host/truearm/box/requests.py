@@ -34,9 +34,9 @@ class GaugeOptions:
 
     ``references``: a file of them, None to ask for each in ``unit``. ``sample`` [s]: duration at each position.
     ``order``: of the polynomial, None for the one with the smallest cross-validation error. ``serial``: of the sensor,
-    None to keep it. ``stroke`` [m]: greatest distance of two references, None for that of a usual sensor. ``out``: page to
-    write, None for a name derived from the channel. ``yes``: store the calibration without asking. The page names the
-    reference ``instrument``, its expanded ``uncertainty`` [m] (k = 2) and the ``operator``.
+    None to keep it. ``stroke`` [m]: greatest distance of two references, None for that of a usual sensor. ``out``: page
+    to write, None for a name derived from the channel. ``yes``: store the calibration without asking. The page names
+    the reference ``instrument``, its expanded ``uncertainty`` [m] (k = 2) and the ``operator``.
     """
 
     channel: str

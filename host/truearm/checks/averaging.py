@@ -63,7 +63,7 @@ class Average:
 
     @cached_property
     def steps(self) -> list[list[Floats]]:
-        """For each finding, the steps (k,) of its explanations in order, and last their mean weighted by probability."""
+        """For each finding, the steps (k,) of its explanations in order, and last their mean by probability."""
         steps = [[choice.step for choice in choices] for choices in self.choices]
         weights = ([choice.weight for choice in choices] for choices in self.choices)
         return [[*shifts, np.array(weight) @ shifts] for shifts, weight in zip(steps, weights, strict=True)]
@@ -164,7 +164,7 @@ def choice_of(
 
 
 def choices_of_finding(detection: Detection, result: Search) -> tuple[Choice, ...]:
-    """Return the finding and its rivals by their probability beside all other findings, without those that were refused."""
+    """Return the finding and its rivals by their probability, beside all other findings but for those refused."""
     design = result.without_findings.extended(result.beside(detection))
     rivals = (rival for rival in detection.rivals if rival.name not in result.refused)
     options = [weigh([weighed.hypothesis], design)[0] for weighed in (detection.best, *rivals)]
@@ -229,7 +229,7 @@ class AllRows(NamedTuple):
 def folded_blocks(
     blocks: Iterable[WhitenedFit], choices: Sequence[Choice], courses: Floats, power: int
 ) -> tuple[WhitenedFit, list[Floats], int]:
-    """Return a few rows with the products of all blocks, the columns (·, d) of choices in them, and how many rows all have.
+    """Return a few rows with the products of all blocks, the columns (·, d) of choices in them, and the count of rows.
 
     ``courses`` (N, c) are the profiles of the choices over the table's rows; rows where one is NaN are left out. Rows
     are multiplied by their pull to a ``power``. Beside them, the fit has the priors of the blocks.
@@ -255,7 +255,7 @@ def folded_blocks(
 def reweighed(
     average: Average, design: Design, columns: Sequence[Sequence[Floats]], loadings: Sequence[Sequence[Floats]]
 ) -> tuple[tuple[Choice, ...], ...]:
-    """Return the choices of each finding with their ``columns`` and ``loadings`` of all rows, beside the first of others.
+    """Return the choices of each finding with their ``columns`` and ``loadings`` of all rows, and the first of others.
 
     Under noise that rows share, probabilities and uncertainty stay those that examined rows give.
     """

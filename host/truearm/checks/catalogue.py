@@ -63,7 +63,10 @@ class Candidates(NamedTuple):
         return np.asarray(self.profiles[last] - self.profiles[first])
 
     def products(self, columns: Floats, row: Indices, vectors: Floats, power: int = 1) -> Floats:
-        """Return (columns · profile)ᵀ ``vectors`` (p, d, x) for ``columns`` (m, d) of each ``row`` (m,); the profile to a ``power``."""
+        """Return (columns · profile)ᵀ ``vectors`` (p, d, x) for ``columns`` (m, d) of each ``row`` (m,).
+
+        The profile is taken to a ``power``.
+        """
         if self.pairs is None:
             return np.stack([(columns * profile[row, None] ** power).T @ vectors for profile in self.profiles])
         edges = [0, *np.searchsorted(row, np.unique(np.asarray(self.spans))).tolist()]  # sums before each
@@ -112,7 +115,10 @@ class Hypothesis:
         return np.asarray(self.columns[:, : self.sizes.size] * along)
 
     def course(self, number: int, measured: Measured) -> Floats:
-        """Return the profile of a candidate over other rows of the same table (n,); NaN near an end, where it is unknown."""
+        """Return the profile of a candidate over other rows of the same table (n,).
+
+        NaN near an end, where it is unknown.
+        """
         candidates, examined = self.candidates, self.fit.measured
         if not candidates.drifts:
             profile = np.interp(measured.row, examined.row, candidates.profile(number))
@@ -167,7 +173,9 @@ class Catalogue:
             self.add(item, form, columns, units, self.drifts if form == "drift" else self.spans(columns, form))
 
     def spans(self, columns: Floats, form: str) -> Candidates:
-        """Return the steps or runs between the rows that some columns (m, d) touch, with LEAST_ROWS of them on either side.
+        """Return the steps or runs between the rows that some columns (m, d) touch.
+
+        LEAST_ROWS of them are on either side.
 
         A step lasts to the end; a run that does is a step. Columns that touch the same rows have the same candidates.
         """
@@ -291,7 +299,7 @@ def add_loose_flange(out: Catalogue) -> None:
 
 
 def drifts_of(measured: Measured) -> Candidates:
-    """Return the profiles of a drift in each session: linear in time, settling, returning; linear in the temperature."""
+    """Return the profiles of a drift by session: linear in time, settling, returning; linear in the temperature."""
     n = measured.row.size
     courses: list[tuple[Floats, tuple[int, int], str]] = []
     for session in np.unique(measured.session):

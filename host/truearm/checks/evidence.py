@@ -137,7 +137,7 @@ class Weighed(NamedTuple):
 
 
 class BesideParameters(NamedTuple):
-    """CᵀC (h, c, d + f, d + f) of candidates and nuisance beside the parameters; trace (h, c, 1) of the d alone before."""
+    """CᵀC (h, c, d + f, d + f) of candidates and nuisance beside the parameters; trace (h, c, 1) of the d before."""
 
     square: Floats
     size: Floats
@@ -151,7 +151,7 @@ def beside_parameters(hypotheses: Sequence[Hypothesis], design: Design) -> Besid
 
 
 def followed(hypotheses: Sequence[Hypothesis], cross: Floats) -> Floats:
-    """Return the products (h, c, d, d) of the candidates with what follows them, from those (h, p, d, x) of the profiles."""
+    """Return the products (h, c, d, d) of the candidates with what follows them, from the profiles' (h, p, d, x)."""
     h, p, d, x = cross.shape
     flat = cross.reshape(h, p * d, x)
     return hypotheses[0].candidates.of_squares((flat @ flat.swapaxes(1, 2)).reshape(h, p, d, p, d))
@@ -226,7 +226,7 @@ def log_chance(drop: Floats, freedom: Indices, design: Design) -> Floats:
     if design.kernel.declared:
         log_p = np.log(np.maximum(special.chdtrc(d, drop), LEAST_CHANCE))
     else:
-        # F(d, ν − d) of drop/d over the remaining variance; its tail is an incomplete beta function of the remaining χ².
+        # F(d, ν − d) of drop/d over the remaining variance; its tail is an incomplete beta function of remaining χ².
         a = np.maximum(design.freedom - d, 0.5) / 2.0
         log_p = log_beta(a, d / 2.0, 1.0 - drop / design.chi2)
     return np.where(freedom == 0, 0.0, log_p)

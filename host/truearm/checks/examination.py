@@ -35,7 +35,7 @@ LASTING = "eccentricity"  # the form of an error that stays in the arm: paramete
 
 
 class Applied(NamedTuple):
-    """What applying causes of faults gives: the change of the parameters, their mean square error then, and the claim."""
+    """What applying causes of faults gives: the parameters' change, their mean square error then, and the claim."""
 
     change: Floats  # (P,)
     covariance: Floats  # (P, P)
@@ -237,7 +237,7 @@ def at_the_end(weighed: Weighed) -> Floats:
 
 
 def identity(weighed: Weighed) -> tuple[str, str, tuple[int, int] | None]:
-    """Return the name of an explanation, that by which it is applied, and its rows [first, after last) of the user's table.
+    """Return an explanation's name, that by which it is applied, and its rows [first, after last) of the user's table.
 
     It is applied as an ``Effect``, which a fit can estimate, otherwise by its own name; "" if it has no remedy. The
     rows are None for all of a session.

@@ -87,7 +87,7 @@ def checked_inputs(
 def explanations_of(
     original: Trial, usual: Mask, robots: Robots, allowed: Collection[str] = ()
 ) -> tuple[tuple[Explanation, ...], int]:
-    """Return explanations of the rows that are better than the inputs as given, and how many alternatives were tried."""
+    """Return explanations of the rows that are better than the inputs as given, and how many were tried."""
     inputs = original.alternative
     held = usual & ~inputs.free
     if held.any():

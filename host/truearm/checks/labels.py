@@ -44,7 +44,7 @@ Labels = Mapping[str, str]  # by column
 
 
 class WrongLabels(NamedTuple):
-    """Rows [first, last) of the given ones that fit another ``label`` by ``gain`` nats: its number, as in ``scores``."""
+    """Rows [first, last) of those passed that fit another ``label`` (its number in ``scores``) by ``gain`` nats."""
 
     first: int
     last: int
@@ -129,7 +129,10 @@ def with_labels(
 
 
 def renamed(rigs: Rigs, table: ObservationTable, names: Mapping[str, NDArray[Any]]) -> ObservationTable:
-    """Return the table with other names (n,) in some columns, where rows have one and get one; a length follows from its bar."""
+    """Return the table with other names (n,) in some columns, where rows have one and get one.
+
+    A length follows from its bar.
+    """
     names = {column: np.where((table[column] == "") | (new == ""), table[column], new) for column, new in names.items()}
     if "bar" not in names or (names["bar"] == table.bar).all():
         return table.replace(**names)

@@ -39,7 +39,7 @@ Finer = dict[tuple[Hypothesis, int], tuple[Hypothesis, BesideParameters]]
 
 @dataclass(frozen=True)
 class Detection:
-    """A hypothesis beyond chance, those that explain the rows as well, and those that no rows can distinguish from it."""
+    """A hypothesis beyond chance, those that explain the rows as well, and those that no rows distinguish from it."""
 
     best: Weighed
     rivals: tuple[Weighed, ...]

@@ -95,14 +95,17 @@ class Trial:
 
 
 def log_evidence(before: Trial, after: Trial) -> float:
-    """Return the logarithm of the evidence for an alternative, up to a constant; rows that it leaves out gain nothing."""
+    """Return the logarithm of the evidence for an alternative, up to a constant.
+
+    Rows that it leaves out gain nothing.
+    """
     share = after.alternative.rows.size / before.alternative.rows.size
     gain = math.log(before.reduced / max(after.reduced, 1e-300))
     return 0.5 * (share * after.freedom * gain - after.displacement**2) - after.alternative.price
 
 
 def log_chance_of_ratio(ratio: float, freedom: float) -> float:
-    """Return the log probability that two mean squares with equal degrees of freedom have a ratio of at most ``ratio``."""
+    """Return the log probability that two mean squares of equal ``freedom`` have a ratio of at most ``ratio``."""
     half_freedom = np.array(max(freedom, 1.0) / 2.0)
     return float(log_beta(half_freedom, half_freedom, np.array(ratio / (1.0 + ratio))))
 
@@ -128,7 +131,7 @@ def explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOLD
 def trial_problem(
     chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, effects: Sequence[Effect] = ()
 ) -> tuple[Problem, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the problem, its fitted columns (P,), and which parameters (P,) place base, tool or an item with an effect."""
+    """Return the problem, its fitted columns (P,), and which parameters (P,) place base, tool or items with effects."""
     mounted = mounting(chain, chain.params_nominal).either
     prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
     problem = build_problem(chain, rig, table, prior, effects)

@@ -1,4 +1,6 @@
-"""The rows of a finished fit, whitened by their noise, their derivatives by everything that can be off, and other noise.
+"""The rows of a finished fit, whitened by their noise, and their derivatives by everything that can be off.
+
+Their noise may be another than the declared one.
 
 Residuals may not be as declared: of another size, or shared by rows near each other. The kernels are V = σ²[(1 − a) I +
 a K] over the rows. K correlates rows near in the order of measurement, rows of one mount, or rows of similar joint
@@ -240,7 +242,7 @@ def whitened_fit(
 def _whitened_group(
     group: Group, by_faults: Sequence[Floats], problem: Problem, x: Floats, columns: NDArray[np.bool_]
 ) -> Floats:
-    """Return (n·w, k + c + f + 1) derivatives by x[columns], ``problem.errors`` and faults, and residuals; all whitened."""
+    """Return derivatives by x[columns], ``problem.errors`` and faults, and residuals: (n·w, k + c + f + 1)."""
     lin = group.opened(problem.chain, x)
     residual = lin.residual.reshape(len(group.sensor_cov), -1).T[:, :, None]
     derivatives = [lin.by_columns(columns), error_columns(lin, problem.errors.bodies), *by_faults, residual]

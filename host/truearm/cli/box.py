@@ -48,8 +48,8 @@ app.add_command(config)
 def list_boxes(*, all: bool = False) -> Answer:
     """List the boxes that are plugged in.
 
-    truearm asks every serial port with the USB identity of a Pico. A box that is being recorded is listed as in use. Boot drives
-    are listed too. Other serial devices are asked only with --all, because the question may disturb them.
+    truearm asks every serial port with the USB identity of a Pico. A box that is being recorded is listed as in use.
+    Boot drives are listed too. Other serial devices are asked only with --all, because the question may disturb them.
 
     Example: truearm box list
 
@@ -164,8 +164,8 @@ def put(changes: tuple[str, ...], *, box: str | None = None, dry_run: bool = Fal
     """Change a box's configuration; print what changes.
 
     Values that you do not give stay unchanged; KEY= without a value removes an optional value, such as
-    channel.lvdt.over. The box stores the new configuration at once. If the power fails meanwhile, it
-    keeps either the old or the new one.
+    channel.lvdt.over. The box stores the new configuration at once. If the power fails meanwhile, it keeps either the
+    old or the new one.
 
     Example:
       truearm box config set osr=2048 channel.lvdt.gain=2 magnetostrictive.us_per_inch=9.031 --box /dev/ttyACM0
@@ -210,9 +210,9 @@ def _edit(change: str) -> Callable[[configuration.Values], configuration.Values]
 def flash(options: FlashOptions) -> Answer:
     """Flash a box, then check that it answers.
 
-    truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With --box, a running
-    box is asked to enter its boot loader. Without it, hold BOOTSEL while you plug in a new Pico: its drive is found, or given with
-    --drive. The stored configuration and calibrations of a box are kept.
+    truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With
+    --box, a running box is asked to enter its boot loader. Without it, hold BOOTSEL while you plug in a new Pico: its
+    drive is found, or given with --drive. The stored configuration and calibrations of a box are kept.
 
     Examples:
       truearm box flash
@@ -246,15 +246,16 @@ def flash(options: FlashOptions) -> Answer:
 def gauge(options: GaugeOptions) -> None:
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
-    Set the reference, type its reading, and do not touch it while the box samples. Measure at least five places over the whole
-    travel, preferably there and back. An empty line ends the measurement if the places are enough; "undo" drops the last place. With
-    --references, Enter samples the place that is asked for, "s" skips it, and "q" ends the measurement. truearm chooses the
-    lowest order of the polynomial that is not significantly worse than the best in cross-validation. For the magnetostrictive sensor, the velocity of sound and the
-    delay are estimated. The report shows the remaining errors. If you agree, the box stores the calibration with its date and
-    temperature. If a run ends early, the same command continues from the places that were measured.
+    Set the reference, type its reading, and do not touch it while the box samples. Measure at least five places over
+    the whole travel, preferably there and back. An empty line ends the measurement if the places are enough; "undo"
+    drops the last place. With --references, Enter samples the place that is asked for, "s" skips it, and "q" ends the
+    measurement. truearm chooses the lowest order of the polynomial that is not significantly worse than the best in
+    cross-validation. For the magnetostrictive sensor, the velocity of sound and the delay are estimated. The report
+    shows the remaining errors. If you agree, the box stores the calibration with its date and temperature. If a run
+    ends early, the same command continues from the places that were measured.
 
     Example:
-      truearm box gauge lvdt --box /dev/ttyACM0 --instrument "micrometer head 164-163, certificate 4711" --uncertainty-um 2
+      truearm box gauge lvdt --box /dev/ttyACM0 --instrument "head 164-163, certificate 4711" --uncertainty-um 2
 
     Arguments
     ---------

@@ -77,7 +77,7 @@ class Entry(NamedTuple):
 
 
 def described(docstring: str | None, texts: Mapping[str, str]) -> tuple[str, dict[tuple[bool, str], Entry]]:
-    """Return the text of a docstring above its first heading, and its entries by whether they are options and by name."""
+    """Return the text of a docstring above its first heading, and its entries by whether they are options, and name."""
     page, *sections = HEADING.split(f"{inspect.cleandoc(docstring or '')}\n")
     entries = {
         (heading != ARGUMENTS, name): Entry(heading, metavar, re.sub(r"\{(\w+)\}", lambda word: texts[word[1]], text))
@@ -96,9 +96,9 @@ SHARED = described(options.__doc__, options.TEXTS)[1]
 class Answer:
     """What a command answers: the ``document`` of ``--json``, and what is printed without it.
 
-    These are ``lines`` (with ``--details``: the ``tables``), or findings with the ``tables`` of ``--details`` and the files
-    that were ``written``; findings and files are the document's by default. ``details_hint`` says how to get the rest;
-    without it, no finding is cut. ``end`` is the exit code, or the error that is raised after printing.
+    These are ``lines`` (with ``--details``: the ``tables``), or findings with the ``tables`` of ``--details`` and the
+    files that were ``written``; findings and files are the document's by default. ``details_hint`` says how to get the
+    rest; without it, no finding is cut. ``end`` is the exit code, or the error that is raised after printing.
     """
 
     document: Any
@@ -133,7 +133,10 @@ def command(
     cls: type[ProjectCommand] = ProjectCommand,
     **texts: str,
 ) -> Callable[[Callable[..., Any]], ProjectCommand]:
-    """Return a decorator that makes a command of a function, in a group; ``{name}`` in a description stands for a text."""
+    """Return a decorator that makes a command of a function, in a group.
+
+    ``{name}`` in a description stands for a text.
+    """
 
     def declare(function: Callable[..., Any]) -> ProjectCommand:
         hints = hints_of(function)

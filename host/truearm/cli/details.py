@@ -150,7 +150,7 @@ def _error_cells(row: Sequence[Any]) -> tuple[str, ...]:
 
 
 def refused_lines(refused: Sequence[Document]) -> list[str]:
-    """Return the statements of a program that move the robot or may move it and are not corrected, their number first."""
+    """Return the statements of a program that move or may move the robot and are not corrected, their number first."""
     if not refused:
         return []
     rows = [

@@ -53,9 +53,9 @@ def identify(
 ) -> Answer:
     """Identify a robot's parameters from observations.
 
-    Prints whether the result is usable, the error of the tool, what to look at, and what to do next; with --details also
-    every parameter, combination and residual. A fit that is not usable is written too, marked as such, and the exit code is
-    3.
+    Prints whether the result is usable, the error of the tool, what to look at, and what to do next; with --details
+    also every parameter, combination and residual. A fit that is not usable is written too, marked as such, and the
+    exit code is 3.
 
     Example:
       truearm identify poses.csv --model puma560 --rig rig.toml --hold-out shell=s61
@@ -67,9 +67,9 @@ def identify(
     noise : FILE
         Noise file of truearm characterize (.toml). It replaces the rig's sigmas of joint readings and bars.
     hold_out : GROUP|FRACTION
-        Rows to hold out: judged, not fitted. COLUMN=VALUE or LOW:HIGH, such as place=front or q1_deg=-180:0 (repeatable),
-        or a fraction of the poses such as 0.2, drawn with --seed. place=* or folds=5: each place, or each of five shares
-        of the poses, is held out of a fit of its own in turn.
+        Rows to hold out: judged, not fitted. COLUMN=VALUE or LOW:HIGH, such as place=front or q1_deg=-180:0
+        (repeatable), or a fraction of the poses such as 0.2, drawn with --seed. place=* or folds=5: each place, or each
+        of five shares of the poses, is held out of a fit of its own in turn.
     out : FILE
         File to write: the result (.json). In a project, the result is kept in the folder results as well.
     report : FILE
@@ -122,8 +122,9 @@ def report(
 ) -> Answer:
     """Write the report on a result, with a certificate as its first page.
 
-    The fit is repeated from the files of the result, with the same options. If the files differ, or the outcome does, no report is written.
-    The certificate takes name, serial number, controller, customer and operator from truearm.toml.
+    The fit is repeated from the files of the result, with the same options. If the files differ, or the outcome does,
+    no report is written. The certificate takes name, serial number, controller, customer and operator from
+    truearm.toml.
 
     Example:
       truearm report result.json session.mcap --number 2026-7 --out report.html
@@ -131,8 +132,8 @@ def report(
     Arguments
     ---------
     inputs : INPUT...
-        Sessions (.mcap) and tables (.csv) that the result was made from. Default: those in the folder of the result, in this
-        folder and in the project.
+        Sessions (.mcap) and tables (.csv) that the result was made from. Default: those in the folder of the result, in
+        this folder and in the project.
 
     Options
     -------
@@ -174,9 +175,9 @@ def validate(
 ) -> Answer:
     """Judge a calibration by other measurements: errors with and without it, in parts of the workspace, and a verdict.
 
-    The robot's parameters stay as identified. The unknowns of the rig are estimated from the new rows, with and without the
-    calibration alike, or held with --keep-rig. For the errors without the calibration, the poses of base and tool are estimated
-    from these rows too if the rows determine them; the output says so.
+    The robot's parameters stay as identified. The unknowns of the rig are estimated from the new rows, with and without
+    the calibration alike, or held with --keep-rig. For the errors without the calibration, the poses of base and tool
+    are estimated from these rows too if the rows determine them; the output says so.
 
     Example:
       truearm validate result.json friday.csv --rig rig.toml
@@ -227,8 +228,8 @@ def map_(files: MapFiles, *, section: Section) -> Answer:
     vary : I,J
         The two joints that span the section; their axes must be parallel. Default: 2,3.
     at : Q1,Q2,...
-        Values of all joints [deg, mm]; of those of --vary, only the configuration of the elbow matters. Default: the middle of the
-        measured readings, and the map ends where these end.
+        Values of all joints [deg, mm]; of those of --vary, only the configuration of the elbow matters. Default: the
+        middle of the measured readings, and the map ends where these end.
     cell_mm : MM
         Size of a cell.
     task : WxH

@@ -50,14 +50,14 @@ def init(
 ) -> Answer:
     """Create a project: truearm.toml, rig.toml and a first plan.
 
-    On a terminal, truearm asks for robot, address and what the rig is measured with if you do not give --model; Enter accepts
-    the value in brackets. A line device and sockets are
-    commented out in rig.toml: remove the "#" in front of those that you have. In this folder and below it, commands
-    take missing options from truearm.toml: truearm record, truearm identify and truearm status then need none.
+    On a terminal, truearm asks for robot, address and what the rig is measured with if you do not give --model; Enter
+    accepts the value in brackets. A line device and sockets are commented out in rig.toml: remove the "#" in front of
+    those that you have. In this folder and below it, commands take missing options from truearm.toml: truearm record,
+    truearm identify and truearm status then need none.
 
     With --method sockets no box is needed: a ball on the robot's end is put into printed sockets. truearm then writes
-    rig.toml, the printed block (socket.stl), where it stands (places.svg), joints for each seat (places.csv) and a table
-    for the joints that you read (seats.csv).
+    rig.toml, the printed block (socket.stl), where it stands (places.svg), joints for each seat (places.csv) and a
+    table for the joints that you read (seats.csv).
 
     Example:
       truearm init cell3 --model ur5e --address rtde://192.168.0.2

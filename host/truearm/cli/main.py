@@ -170,7 +170,10 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
 
 
 def _reason(exc: click.UsageError, arguments: Sequence[str]) -> str:
-    """Return why the parser refuses a command line: an unknown option, a file that a project does not have, or its message."""
+    """Return why the parser refuses a command line.
+
+    An unknown option, a file that a project does not have, or the parser's own message.
+    """
     if isinstance(exc, click.NoSuchOption) and exc.ctx is not None:
         return option_for(exc.ctx.command, exc.ctx.info_name or "", exc.option_name)
     parameter = exc.param if isinstance(exc, click.MissingParameter) else None

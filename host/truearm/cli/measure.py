@@ -36,8 +36,9 @@ robot = CommandGroup(
 def read(address: str, *, robot: str, out: Path = Path("robot.toml"), force: bool = False) -> Answer:
     """Read the factory calibration of a Universal Robots controller into a robot file.
 
-    The controller computes with these kinematics, not with the drawing. Give the file as --model, or as model in truearm.toml, so that
-    truearm identifies and corrects against them. truearm init reads them too. Nothing is sent to the controller.
+    The controller computes with these kinematics, not with the drawing. Give the file as --model, or as model in
+    truearm.toml, so that truearm identifies and corrects against them. truearm init reads them too. Nothing is sent to
+    the controller.
 
     Example:
       truearm robot read rtde://192.168.0.2 --model ur5e
@@ -85,8 +86,8 @@ def ballbar(
 ) -> Answer:
     """Plan ball-bar poses around the chucks.
 
-    A pairing is one bar between one chuck (a magnetic cup on the table) and one sphere (a ball on the robot's end). With
-    --minutes, only the pairings that are worth mounting are planned.
+    A pairing is one bar between one chuck (a magnetic cup on the table) and one sphere (a ball on the robot's end).
+    With --minutes, only the pairings that are worth mounting are planned.
 
     Example:
       truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv --program-out plan.script
@@ -100,7 +101,8 @@ def ballbar(
     bar : NAME
         Use only this bar (repeatable).
     details
-        Print the pairings, what can be held out, the unidentifiable combinations and the predicted sigma of every parameter.
+        Print the pairings, what can be held out, the unidentifiable combinations and the predicted sigma of every
+        parameter.
 
     Expert options
     --------------
@@ -131,7 +133,7 @@ def line(files: PlanFiles, *, options: LineOptions, region: Any = None) -> Answe
     """Plan lines for a line device, driven there and back, preferably where the expected error is large.
 
     Example:
-      truearm plan line --model ur5e --rig rig.toml --lines 6 --out lines.csv --rig-out lines.toml --program-out lines.script
+      truearm plan line --model ur5e --rig rig.toml --out lines.csv --rig-out lines.toml --program-out lines.script
 
     Options
     -------
@@ -221,11 +223,12 @@ class RecordCommand(ProjectCommand):
 def record(request: RecordOptions) -> Answer:
     """Record a sensor box and a robot into a session file.
 
-    Without --box, truearm uses the box that is plugged in. The recording ends with Ctrl-C, with q and Enter, after --duration-s, when the
-    robot's program reports its end, or when a box or robot that was lost does not return within --patience-s. The file is complete in
-    each case; the exit code is 4 if something that was asked for is missing. --force overwrites an earlier file only once the box has
-    started. On a terminal you can type during the recording: Enter confirms what you are asked to mount,
-    bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME names another one, and note TEXT is stored.
+    Without --box, truearm uses the box that is plugged in. The recording ends with Ctrl-C, with q and Enter, after
+    --duration-s, when the robot's program reports its end, or when a box or robot that was lost does not return within
+    --patience-s. The file is complete in each case; the exit code is 4 if something that was asked for is missing.
+    --force overwrites an earlier file only once the box has started. On a terminal you can type during the recording:
+    Enter confirms what you are asked to mount, bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME names another
+    one, and note TEXT is stored.
 
     Example:
       truearm record --address tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
@@ -288,8 +291,8 @@ def seats(
 ) -> Answer:
     """Fill the joints of seats in sockets into their table, from a log of the arm.
 
-    The arm rests in the sockets in the order of the rows. Each rest fills the next row that has no joints. If there are more or
-    fewer rests than such rows, they are listed and nothing is written.
+    The arm rests in the sockets in the order of the rows. Each rest fills the next row that has no joints. If there are
+    more or fewer rests than such rows, they are listed and nothing is written.
 
     Example:
       truearm seats log.csv --table seats.csv --rest-s 5
@@ -350,7 +353,8 @@ def inspect(session: Path, *, details: bool = False, json: bool = False, allow_d
 def characterize(
     files: CharacterizeFiles, *, within_mm: Annotated[tuple[float, ...], Within(0.0001, 100.0)] = ()
 ) -> Answer:
-    """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, each with its 95 % interval.
+    """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, each with its 95 %
+    interval.
 
     The session is a recording of a plan of truearm plan characterize; files that continue it (truearm record
     --resume) are read with it. The nominal robot is sufficient. Give --plan if the session contains no plan.
@@ -366,8 +370,8 @@ def characterize(
     out : FILE
         File to write: the noise file for truearm identify --noise (.toml).
     details
-        Print how the arm settles, the noise of joints and sensor, and a table of the joints. Difference: the mean reading
-        of a joint that comes from below, minus from above. Scatter: the sigma of its readings from one side.
+        Print how the arm settles, the noise of joints and sensor, and a table of the joints. Difference: the mean
+        reading of a joint that comes from below, minus from above. Scatter: the sigma of its readings from one side.
     """
     from truearm.workflows.characterize import characterize_files, joint_table
 

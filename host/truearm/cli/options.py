@@ -1,7 +1,8 @@
 """What several commands have: the descriptions of their arguments and options, and readers of their values.
 
 ``--help`` imports this module, so it imports nothing slow. An option has the same meaning in every command. Where it
-reads or writes something of the command's own, the command describes it again. The value that ``{name}`` stands for is in ``TEXTS``.
+reads or writes something of the command's own, the command describes it again. The value that ``{name}`` stands for is
+in ``TEXTS``.
 
 Arguments
 ---------
@@ -43,7 +44,8 @@ topic : NAME
 joints : LIST
     Names of a bag's joints, from the base on: a,b,c. Default: those of --model.
 columns : OURS=THEIRS,…
-    Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. Other columns keep their titles, and are skipped if unknown.
+    Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. Other columns keep their
+    titles, and are skipped if unknown.
 json
     Print JSON and nothing else.
 
@@ -184,7 +186,10 @@ def command_line(context: click.Context) -> str:
 
 
 def joints_of(shown: tuple[float, ...] | None, arm: Chain) -> tuple[float, ...] | None:
-    """Return the joints [rad, m] of an option in deg and mm; those of mimic joints may be missing. Another number is kept."""
+    """Return the joints [rad, m] of an option in deg and mm; those of mimic joints may be missing.
+
+    Another number is kept.
+    """
     from truearm.model.chain_structure import units_of
 
     units = units_of(len(shown or ()), arm.joint_units, arm.mimics)
@@ -288,7 +293,10 @@ def scaled_numbers(scales: tuple[Scale, ...], lowest: float, highest: float, tex
 
 
 class Reader(NamedTuple):
-    """How an option is read: the ``form`` of its text, and what makes a value of it. ``named``: NAME=TEXT, several times."""
+    """How an option is read: the ``form`` of its text, and what makes a value of it.
+
+    ``named``: NAME=TEXT, several times.
+    """
 
     form: str
     parse: Callable[[str], Any]

@@ -1,4 +1,4 @@
-"""Progress of steps that take longer than two seconds, on the terminal: name, percentage, elapsed and remaining time."""
+"""Progress of steps longer than two seconds, on the terminal: name, percentage, elapsed and remaining time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ PER_SECOND = 2.0  # times that they are drawn
 
 
 class Shown(Progress):
-    """Shows the steps below other output on a terminal, and clears them at their end. A terminal that is gone stops nothing."""
+    """Shows the steps below other output on a terminal, and clears them at their end.
+
+    A terminal that is gone stops nothing.
+    """
 
     def __init__(self, console: Console) -> None:
         super().__init__(

@@ -22,7 +22,7 @@ from truearm.workflows.project_file import Project, project_of
 
 ALIKE = 0.75  # of two names, by difflib: less is another word
 
-# Earlier names are refused with a message that gives the new one. An option after a command is one of that command only.
+# Earlier names are refused with a message that gives the new one. An option after a command is of that command.
 EARLIER = {
     "recover": "session recover",
     "relabel": "session relabel",
@@ -139,7 +139,10 @@ class ProjectCommand(click.Command):
                     formatter.write_dl(list(filter(None, rows)))
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the command line. Of a command that takes a result and further files, the project's result may be left out."""
+        """Read the command line.
+
+        Of a command that takes a result and further files, the project's result may be left out.
+        """
         files = [parameter.name for parameter in self.params if not parameter.opts[0].startswith("-")]
         if files[:1] == ["result"] and len(files) == 2:
             words, *_ = self.make_parser(ctx).parse_args(list(args))
@@ -159,7 +162,10 @@ class ProjectCommand(click.Command):
         return further_words
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command. Raises InputError for nan, inf and "-", which click accepts, and for a file of another kind."""
+        """Run the command.
+
+        Raises InputError for nan, inf and "-", which click accepts, and for a file of another kind.
+        """
         for parameter in self.params:
             for value in _values(ctx.params[parameter.name]):
                 if isinstance(value, float) and not math.isfinite(value):
@@ -196,7 +202,7 @@ def _check_kind(name: str, value: str | Path, parameters: Sequence[Any]) -> None
 
 
 class CommandGroup(click.Group):
-    """Commands that are listed each with its whole first sentence, and suggested by meaning; alone, it prints its help."""
+    """Commands, each listed with its whole first sentence and suggested by meaning; alone, it prints its help."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names in their order."""
@@ -315,7 +321,10 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Answer]:
 
 
 def missing_file(parameter: str, command: str, folder: Path) -> str | None:
-    """Return the message for a command without its argument ``parameter``, a result or sessions; None outside a project."""
+    """Return the message for a command without its argument ``parameter``, a result or sessions.
+
+    None outside a project.
+    """
     has_default = parameter in ("result", "inputs", "session") and (parameter, command) != ("inputs", "validate")
     project, home = (project_of(folder) if has_default else None) or (None, folder)
     if project is None:

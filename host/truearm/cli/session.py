@@ -26,9 +26,9 @@ app = CommandGroup(
 def recover(session: Path, *, out: Path | None = None, force: bool = False) -> Answer:
     """Write all intact data of a damaged or unfinished session to a new file that every command reads.
 
-    For a file whose recorder was killed, whose disk was full, or whose bytes were damaged. The file itself is not changed. Saved
-    and lost data are listed by place, time and topic; gaps are not filled. An intact file is left alone. Exit code 0 if the data
-    were saved, however many are lost, or if the file is intact; 2 if nothing could be saved.
+    For a file whose recorder was killed, whose disk was full, or whose bytes were damaged. The file itself is not
+    changed. Saved and lost data are listed by place, time and topic; gaps are not filled. An intact file is left alone.
+    Exit code 0 if the data were saved, however many are lost, or if the file is intact; 2 if nothing could be saved.
 
     Example:
       truearm session recover session.mcap --out recovered.mcap
@@ -66,10 +66,10 @@ def relabel(
 ) -> Answer:
     """Decide what was mounted at each dwell of a session where plan, operator and readings disagree.
 
-    The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use them;
-    without that file, plan and confirmations apply again. A dwell is a rest of the robot at one pose. With --trust evidence it is
-    labelled if one pairing of bar, chuck and sphere has a probability of at least 99.8 %, otherwise it is left out. Without --trust
-    and --mounted, the doubtful dwells are printed, and nothing is written.
+    The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use
+    them; without that file, plan and confirmations apply again. A dwell is a rest of the robot at one pose. With
+    --trust evidence it is labelled if one pairing of bar, chuck and sphere has a probability of at least 99.8 %,
+    otherwise it is left out. Without --trust and --mounted, the doubtful dwells are printed, and nothing is written.
 
     Example:
       truearm session relabel session.mcap --model puma560
@@ -111,12 +111,12 @@ def add_joints(
 ) -> Answer:
     """Add joint readings from a table or a ROS 2 bag to a session, as a new file.
 
-    truearm did not see these readings arrive, so each is placed in time by the controller's clock. The new file records that
-    its readings were added in this way.
+    truearm did not see these readings arrive, so each is placed in time by the controller's clock. The new file records
+    that its readings were added in this way.
 
     Example:
       truearm session add-joints session.mcap joints.csv --zero-s 3.2 --out with_joints.mcap
-      truearm session add-joints session.mcap rtde.csv --columns t_s=timestamp,q{}_rad=actual_q_{} --zero-s 3.2 --out with_joints.mcap
+      truearm session add-joints s.mcap ur.csv --columns t_s=timestamp,q{}_rad=actual_q_{} --zero-s 3.2 --out new.mcap
 
     Arguments
     ---------
@@ -147,12 +147,12 @@ def add_joints(
 
 @command(app, "export")
 def export_session(request: ExportSession) -> Answer:
-    """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
+    """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and
+    observations.
 
-    Writes one file per stream. A sample has the
-    box's time, the synchronised host time with its error bound, the counts, and the value in the SI unit that its column names.
-    Gaps are marked, not filled. session.json lists losses and describes the columns. --model determines which joints are prismatic;
-    without it all are revolute.
+    Writes one file per stream. A sample has the box's time, the synchronised host time with its error bound, the
+    counts, and the value in the SI unit that its column names. Gaps are marked, not filled. session.json lists losses
+    and describes the columns. --model determines which joints are prismatic; without it all are revolute.
 
     Example:
       truearm session export session.mcap --out tables --format parquet

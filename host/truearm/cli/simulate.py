@@ -40,11 +40,11 @@ class SimulateCommand(ProjectCommand):
 def simulate(request: SimulateOptions, *, fast: bool = False, stage: bool = False) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.
 
-    The true robot differs from the nominal one by random errors, which are drawn from tolerances and hidden (--truth-out writes them). The
-    simulation runs in real time behind local ports, or with --fast in virtual time straight into a session file. The box runs the
-    real firmware in MicroPython (without it in CPython, with a note), or with --level chip in an emulated RP2040, which
-    may be slower than real time. Time starts with the first connection. The simulation ends when the robot's program has ended and
-    the recorder has disconnected, or with Ctrl-C.
+    The true robot differs from the nominal one by random errors, which are drawn from tolerances and hidden
+    (--truth-out writes them). The simulation runs in real time behind local ports, or with --fast in virtual time
+    straight into a session file. The box runs the real firmware in MicroPython (without it in CPython, with a note), or
+    with --level chip in an emulated RP2040, which may be slower than real time. Time starts with the first connection.
+    The simulation ends when the robot's program has ended and the recorder has disconnected, or with Ctrl-C.
 
     Example:
       truearm simulate     (and in another terminal the truearm record line that it prints)
@@ -133,10 +133,11 @@ def demo(
     open: bool = False,
     json: bool = False,
 ) -> Answer:
-    """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.
+    """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the
+    report.
 
-    Does what truearm simulate --fast and truearm identify do. The last bar and the last line are held out: their rows are
-    not fitted, so they show how accurate the calibrated robot is.
+    Does what truearm simulate --fast and truearm identify do. The last bar and the last line are held out: their rows
+    are not fitted, so they show how accurate the calibrated robot is.
 
     Example:
       truearm demo --out out/demo

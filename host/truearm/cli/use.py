@@ -20,8 +20,9 @@ from truearm.workflows.requests import CorrectFiles, CorrectOptions, ExportFiles
 def correct(files: CorrectFiles, *, options: CorrectOptions, details: bool = False, json: bool = False) -> Answer:
     """Correct targets so that the real robot reaches them.
 
-    In a program, only the numbers of targets change. Numbers change only if every use of every name that leads to them is the target of a corrected move; other moves get numbers of their own.
-    If a move cannot be corrected with certainty, nothing is written, and each such move is listed with its line and the reason.
+    In a program, only the numbers of targets change. Numbers change only if every use of every name that leads to them
+    is the target of a corrected move; other moves get numbers of their own. If a move cannot be corrected with
+    certainty, nothing is written, and each such move is listed with its line and the reason.
 
     Examples:
       truearm correct result.json program.mod --own-frames --out corrected.mod
@@ -103,8 +104,8 @@ def correct(files: CorrectFiles, *, options: CorrectOptions, details: bool = Fal
 def export(files: ExportFiles) -> Answer:
     """Write a calibrated robot for other programs.
 
-    If the format has no place for a parameter, or --adjust excludes it, the other parameters are refitted to compensate. The
-    remaining error is printed.
+    If the format has no place for a parameter, or --adjust excludes it, the other parameters are refitted to
+    compensate. The remaining error is printed.
 
     Example:
       truearm export result.json --format urdf --model panda.urdf --out calibrated.urdf

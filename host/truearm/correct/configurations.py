@@ -71,7 +71,10 @@ def search(
 def several_fit(
     chain: Chain, params: Floats, targets: Floats, quadrants: Floats, oriented: bool = True
 ) -> NDArray[np.bool_]:
-    """Return for which targets (n, 4, 4) several solutions within the joint limits fit the quarter turns (n, j) best, as in ``search``."""
+    """Return for which targets (n, 4, 4) several solutions fit the quarter turns (n, j) best, as in ``search``.
+
+    Solutions are those within the joint limits.
+    """
     stock = solutions(chain, params, targets, oriented)
     middle = np.where(np.isnan(quadrants), 0.0, 0.5 * np.pi * (quadrants + 0.5))
     q = turned(chain, params, stock, middle[:, None])
@@ -136,7 +139,7 @@ def _packed(stock: Floats) -> Floats:
 
 
 def _covering(n: int, j: int) -> Floats:
-    """Return n points (n, j) that cover the unit cube evenly: Roberts' sequence of the golden ratio's generalisation."""
+    """Return n points (n, j) that cover the unit cube evenly: Roberts' sequence of a generalised golden ratio."""
     ratio = np.roots([1.0, *np.zeros(j - 1), -1.0, -1.0]).real.max()
     return np.asarray(np.outer(np.arange(1, n + 1), ratio ** -np.arange(1.0, j + 1)) % 1.0)
 
@@ -182,7 +185,7 @@ def _chosen(
         best = np.arange(len(rows)), order[:, 0]
         return np.where(usable[best][:, None], q[best], np.nan)
 
-    # All targets are chosen at once from where the robot is likely to be, twice; those for which it is elsewhere, again.
+    # All targets are chosen at once from where the robot is likely to be, twice; if it is elsewhere, again.
     order, every = _followed(origins.target), np.arange(len(quadrants))
     is_given: NDArray[np.bool_] = np.asarray(np.isfinite(origins.q).all(axis=1))
     chosen = nearest(every, np.broadcast_to(first, quadrants.shape))

@@ -112,8 +112,8 @@ def offsets(pair: ModelPair, q_nominal: Floats) -> Floats:
 class Configuration(NamedTuple):
     """Which of the arm's configurations the controller uses.
 
-    ``q_start``: (n, j) near the joints that it will use. Without it they are searched for (``configurations.search``), near
-    ``home`` (j,) first, within ``quadrants`` (n, j), each nearest to the robot's previous position by ``origins``.
+    ``q_start``: (n, j) near the joints that it will use. Without it they are searched for (``configurations.search``),
+    near ``home`` (j,) first, within ``quadrants`` (n, j), each nearest to the robot's previous position by ``origins``.
     """
 
     q_start: Floats | None = None
@@ -132,8 +132,8 @@ class Correction(Displayed):
     ``q`` (n, j) are the joint readings to move to, and ``q_nominal`` (n, j) those that the controller would use without
     correction. ``commanded`` (n, 4, 4) are the poses to command. ``before`` and ``after`` (n, 2) are the errors of the
     end in m and rad, or of the tool by ``at_tools``. ``problem`` says why a row must not be used, "" if it may be; what
-    was not found for it is NaN. ``name`` are the names that were given for the targets, ``joint_units`` "rad" or "m" for
-    each joint, and ``simulated`` says whether the calibration is.
+    was not found for it is NaN. ``name`` are the names that were given for the targets, ``joint_units`` "rad" or "m"
+    for each joint, and ``simulated`` says whether the calibration is.
 
     Examples
     --------

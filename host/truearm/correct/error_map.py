@@ -46,10 +46,11 @@ STRETCHED = 1e-3  # m²/rad²: below this, elbow up and down are hardly distingu
 class ErrorMap(Displayed):
     """The cells of a section: l rows along v, k columns along u. Cells that no joint vector reaches are NaN.
 
-    ``u`` (k,) and ``v`` (l,) are the middles of the cells [m], along ``axes[0]`` and ``axes[1]``, unit vectors in the base
-    frame. ``q`` (l, k, j) are the joint readings and ``point`` (l, k, 3) the place of the nominal end [m]. ``error`` (l, k)
-    is its distance from the identified end [m], and ``sigma`` (l, k) the standard deviation of that end's position [m],
-    NaN if undetermined. ``outside`` (l, k) is True where a joint is outside the fitted readings, None if these are unknown.
+    ``u`` (k,) and ``v`` (l,) are the middles of the cells [m], along ``axes[0]`` and ``axes[1]``, unit vectors in the
+    base frame. ``q`` (l, k, j) are the joint readings and ``point`` (l, k, 3) the place of the nominal end [m].
+    ``error`` (l, k) is its distance from the identified end [m], and ``sigma`` (l, k) the standard deviation of that
+    end's position [m], NaN if undetermined. ``outside`` (l, k) is True where a joint is outside the fitted readings,
+    None if these are unknown.
 
     Examples
     --------
@@ -220,8 +221,7 @@ def _sigma(pair: ModelPair, q: Floats, covariance: Floats, unseen: Floats) -> Fl
 def best_region(
     section: ErrorMap, width: float, height: float, within: tuple[float, float, float, float] | None = None
 ) -> BestRectangle | None:
-    """Return the rectangle of this size (along u and v) [m] with the smallest largest error, or None if it fits
-    nowhere.
+    """Return the rectangle of this size (along u, v) [m] with the smallest largest error, or None if it fits nowhere.
 
     ``within``: u0, u1, v0, v1 [m], the part of the section in which it may lie. The map does not account for
     collisions, of the arm with itself or with the table for example.

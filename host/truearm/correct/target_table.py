@@ -60,7 +60,10 @@ def read_targets(path: Path, joint_units: Sequence[str], mimics: Mapping[int, Mi
 
 
 def parse_targets(text: str, name: str, joint_units: Sequence[str], mimics: Mapping[int, Mimic] = NO_MIMICS) -> Targets:
-    """Parse the text of a table of targets; ``name`` stands for the file in messages. Raises TargetError or TableError."""
+    """Parse the text of a table of targets; ``name`` stands for the file in messages.
+
+    Raises TargetError or TableError.
+    """
     lengths = {named(axis, unit): (axis, unit) for axis in XYZ for unit in suffixes("m")}
     angles = {named(axis, unit): (axis, unit) for axis in TURN for unit in suffixes("rad")}
     joints = joint_titles("q", (*suffixes("rad"), *suffixes("m")), MAX_JOINTS)

@@ -74,7 +74,7 @@ class Circumstances(NamedTuple):
 
 
 def last_motions(table: ObservationTable, session: Indices) -> tuple[Floats, Floats]:
-    """Return the direction (n, j) in which each joint last moved before each row, and how far (n, j) [rad or m] it moved.
+    """Return the direction (n, j) in which each joint last moved before each row, and how far (n, j) [rad or m].
 
     Directions are −1 or 1, 0 where unknown: the ``side`` of the rows if any is known. In other tables the joints are
     taken to have moved straight from the pose before, and a joint that did not move keeps its direction. Motions are
@@ -163,7 +163,10 @@ class Measured(NamedTuple):
 
 
 def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_]) -> Measured:
-    """Return how the ``rows`` (n,) of a robot's table were measured; rows of a table are in the order of measurement."""
+    """Return how the ``rows`` (n,) of a robot's table were measured.
+
+    Rows of a table are in the order of measurement.
+    """
     selected, circumstances = table.select(rows), Circumstances.of(table, chain)
     place = np.unique(selected.place, return_inverse=True)[1] if (selected.place != "").all() else None
     return Measured(np.flatnonzero(rows), circumstances, circumstances.session[rows], mountings(selected), place)
@@ -205,7 +208,10 @@ def first_alike(columns: Iterable[NDArray[Any]]) -> tuple[Indices, Indices]:
 
 
 def _codes(column: NDArray[Any]) -> tuple[Indices, int]:
-    """Return numbers (n,) of the values in a column in sorted order, from 0 to below a count; gaps where it has integers."""
+    """Return numbers (n,) of the values in a column in sorted order, from 0 to below a count.
+
+    They have gaps where the column has integers.
+    """
     if column.dtype.kind == "i":
         low, high = int(column.min()), int(column.max())
         if high - low < LARGEST:

@@ -85,7 +85,10 @@ def _earlier(first: Indices) -> Indices:
 def _step_shares(
     chain: Chain, rig: Rigs, table: ObservationTable, measured: Mapping[str, Sequence[Quantity]]
 ) -> Floats:
-    """Return for each row (n,) at most the probability that its readings are given ones; 0 for rows without readings."""
+    """Return for each row (n,) at most the probability that its readings are given ones.
+
+    0 for rows without readings.
+    """
     out = np.zeros(len(table))
     for group in build_problem(chain, rig, table).groups:
         if group.row is None:

@@ -65,7 +65,7 @@ def choose_defaults(
     effects: Sequence[Effect] = (),
     fitted: Mask | None = None,
 ) -> tuple[Mask, Floats, Defaults]:
-    """Return which of ``free`` (p,) to identify from the rows of a table, the σ (p,) of the prior (inf for none), and why.
+    """Return which of ``free`` (p,) to identify from a table's rows, the σ (p,) of the prior (inf for none), and why.
 
     ``named`` (p,) are the parameters that the user asked for by name; these are never fixed. ``prior`` is whether a
     prior may be used. ``effects`` are the systematic errors that the identification estimates too: what they explain is
@@ -140,7 +140,7 @@ def with_frames(
 
 
 def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mounted: Mask) -> Floats:
-    """Return σ (p,) for parameters of directions that the data, at their actual noise, determine no better than ``unit``.
+    """Return σ (p,) for parameters of directions that the data, at their actual noise, see no better than ``unit``.
 
     If the noise is c times the declared one, by which the rows are weighted, σ is ``unit``/c. Otherwise the prior would
     have less weight the smaller the declared σ. All other parameters have no prior, inf.
@@ -202,7 +202,7 @@ def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
 
 
 def _misfit(problem: Problem, x: Floats) -> tuple[float, float]:
-    """Return the ratio of the median row's residual to its expected value, 1 to LARGEST_MISFIT; and that of their RMS."""
+    """Return the ratio of the median row's residual to its expectation, 1 to LARGEST_MISFIT; that of their RMS."""
     ratios, squares = [], []
     for block in whitened_blocks(problem, x, np.zeros(x.size, dtype=bool)):
         if block.row is not None:
@@ -237,7 +237,7 @@ def moved(chain: Chain, still: Sequence[StillJoint], q: Floats) -> Mask:
 def _seen_by_moving_only(
     chain: Chain, rig: Rigs, table: ObservationTable, x: Floats, free: Mask, named: Mask, still: Sequence[str]
 ) -> Mask:
-    """Return the parameters to fix (p,): as many as there are directions that need the joints ``still`` to move to be seen.
+    """Return the parameters to fix (p,): one for each direction that needs the joints ``still`` to move to be seen.
 
     Their own terms of the joint law come first.
     """

@@ -30,7 +30,7 @@ CONSTANT = 1e-9  # relative to the largest twist: rounding leaves 1e-15
 
 
 class Mounting(NamedTuple):
-    """Masks (p,) of the parameters that move only the base, and of those that move only the tool; their twists (6, p)."""
+    """Masks (p,) of the parameters that move only the base, and of those that move only the tool; twists (6, p)."""
 
     base: NDArray[np.bool_]
     tool: NDArray[np.bool_]

@@ -49,7 +49,10 @@ class Identifiability(NamedTuple):
 
 
 def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identifiability:
-    """Analyse a root (k, k) whose first ``n_robot`` columns are the robot's; ``names`` are those of the k parameters."""
+    """Analyse a root (k, k) whose first ``n_robot`` columns are the robot's.
+
+    ``names`` are those of the k parameters.
+    """
     scaled, scale = rank_columns(root)
     robot, rig = scaled[:, :n_robot], scaled[:, n_robot:]
     singular, null_robot = null_basis(project_out(robot, rig))
@@ -105,7 +108,7 @@ def suggested_free(
 
 
 def hardly_seen(root: Floats, n_robot: int, unit: Floats, names: Sequence[str]) -> tuple[NullDirection, ...]:
-    """Return identifiable directions of the robot's columns that the data determine no better than ``unit`` (n_robot,)."""
+    """Return identifiable directions of the robot's columns, determined no better than ``unit`` (n_robot,)."""
     weak = _weak_directions(root, n_robot, unit, RANK_TOLERANCE)
     return _directions(weak.T, 1.0 / unit, names[:n_robot], SMALL_PART)
 
@@ -119,13 +122,13 @@ def weakly_identifiable(root: Floats, n_robot: int, unit: Floats, least: float =
 
 
 def _weak_directions(root: Floats, n_robot: int, unit: Floats, least: float) -> Floats:
-    """Return the directions (d, n_robot), in units, with a singular value below 1 and above ``least`` of the largest."""
+    """Return the directions (d, n_robot), in units, with a singular value from ``least`` of the largest up to 1."""
     _, singular, vt = np.linalg.svd(_in_units(root, n_robot, unit))
     return np.asarray(vt[(singular < 1.0) & (singular > least * singular.max(initial=0.0))])
 
 
 def is_weakly_identifiable(root: Floats, column: int, unit: float) -> bool:
-    """Return whether the data determine this parameter no better than ``unit``, all others (robot and rig) being unknown."""
+    """Return whether the data determine this parameter no better than ``unit``, all others being unknown."""
     projected = project_out(root[:, [column]], np.delete(root, column, axis=1))
     return float(np.linalg.norm(projected)) * unit < 1.0
 
@@ -227,10 +230,10 @@ def additions(
 ) -> tuple[Addition, ...]:
     """Return the proposals (``Kind.proposals``) that help, each on its own, the most useful first.
 
-    Each is tried: rows such as it would give at the estimate are folded into the existing information.
-    root (k, k) is the information on the free parameters ``names`` (k,), of which the first ``taken.size`` are the
-    robot's. Those ``taken`` are distinguishable, to better than ``unit`` (taken.size,) if it is given. ``known`` is the
-    estimate by name.
+    Each is tried: rows such as it would give at the estimate are folded into the existing information. root (k, k) is
+    the information on the free parameters ``names`` (k,), of which the first ``taken.size`` are the robot's. Those
+    ``taken`` are distinguishable, to better than ``unit`` (taken.size,) if it is given. ``known`` is the estimate by
+    name.
     """
     if taken.all() or len(table) == 0:
         return ()
@@ -291,5 +294,5 @@ def _proposals(estimated: Chain, rigs: Rigs, table: ObservationTable) -> Iterato
 
 
 def _at(chain: Chain, known: Mapping[str, float]) -> Chain:
-    """Return the chain with the estimate as its nominal values, so that new items are placed according to the estimate."""
+    """Return the chain with the estimate as its nominal values, so that new items are placed by the estimate."""
     return replace(chain, parameters=tuple(replace(p, nominal=known[p.name]) for p in chain.parameters))

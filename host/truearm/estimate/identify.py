@@ -102,7 +102,7 @@ def identify(
         fixed.
     prior_sigma : (p,) σ of robot parameters about their nominal values, inf for none; default none.
     prefer : (p,) parameters that the suggested free set should preferably contain, a robot file's ``free``; default
-    none.
+        none.
     options : solver, loss, maximum number of iterations, and progress callback.
 
     Raises ProblemError if there is no row to fit, and for the same reasons as ``build_problem``. Rank and convergence
@@ -267,9 +267,12 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
 def _solved(
     task: _Task, nominal: _Nominal, options: SolverOptions, judge: Judge, on_step: Callable[[int, Residuals], None]
 ) -> tuple[Solution, Solution, NDArray[np.bool_]]:
-    """Return the fit, that of all rows (the same, unless outliers were left out), and which rows (n_rows,) are outlying."""
+    """Return the fit, that of all rows, and which rows (n_rows,) are outlying.
+
+    The first two are the same unless outliers were left out.
+    """
     problem, columns, gross = task.problem, task.columns, nominal.gross
-    # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
+    # Robot and a distant rig together make a curved valley; a rig fitted alone is a closer start (decision 19).
     start, damping = problem.start, Damping(start=0.0)
     if SOLVERS[options.solver].starts_from_rig:
         start, damping = nominal.x_raw, Damping()
@@ -287,7 +290,10 @@ def _solved(
 
 
 class _Quality(NamedTuple):
-    """How well the rows fit. ``bad`` are more rows than can be left out, but explain a misfit; ``inliers`` lacks them."""
+    """How well the rows fit.
+
+    ``bad`` are more rows than can be left out, but explain a misfit; ``inliers`` lacks them.
+    """
 
     fit: Goodness
     bad: WithoutBad | None
@@ -358,7 +364,7 @@ def _sight(task: _Task, solution: Solution, fitted_problem: Problem) -> _Sight:
 
 
 class _Errors(NamedTuple):
-    """Fields of the estimate: residuals, and errors where nothing was fitted, also of the nominal robot (``before``)."""
+    """Fields of the estimate: residuals, and errors where nothing was fitted, also the nominal robot's (``before``)."""
 
     held_out: HeldOut | None
     held_out_before: HeldOut | None
@@ -421,7 +427,10 @@ def judged(
     held: NDArray[np.bool_],
     effects: Sequence[Effect],
 ) -> tuple[HeldOut | None, Residuals]:
-    """Return errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, otherwise from these rows."""
+    """Return errors on the held-out rows with the robot of x_fit.
+
+    The rig's unknowns are from x_fit, otherwise from these rows.
+    """
     if not held.any():
         return None, {}
     if effects:  # of the items that these rows use

@@ -95,7 +95,7 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
 
 
 def _stacked(by_robot: Floats, moving: NDArray[np.bool_], lin: Linearised, rig: NDArray[np.bool_]) -> Floats:
-    """Return (b, w, n) the ``moving`` columns of those by the robot, the free unknowns of the ``rig``, and the residuals."""
+    """Return the ``moving`` columns (b, w, n) of those by the robot, the rig's free unknowns, and the residuals."""
     width, n, _ = by_robot.shape
     n_moving = int(moving.sum())
     out = np.empty((n_moving + int(rig.sum()) + 1, width, n))
@@ -169,7 +169,9 @@ def _keep_freed_memory() -> None:
 
 
 def scaled_columns(root: Floats) -> tuple[Floats, Floats]:
-    """Return the root with columns of length 1 (Marquardt 1963), and the lengths (k,); 1 for a column without information.
+    """Return the root with columns of length 1 (Marquardt 1963), and their former lengths (k,).
+
+    Of a column without information, the length is 1.
 
     A column that is only rounding must not be scaled up and taken for information.
     """

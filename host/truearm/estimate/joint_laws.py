@@ -135,7 +135,7 @@ def with_joint_laws(
         if request.faults and not choice.kept:
             why_none = ERRORS_EXPLAIN
         elif fit.chi2_reduced > estimate.chi2_reduced:
-            # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
+            # The posterior is linear about what was learned, which may be far along weakly determined combinations.
             why_none = LARGER_RESIDUALS
     if why_none:
         fit, choice, steps, reasons = estimate, None, steps[:1], [why_none]
@@ -158,10 +158,9 @@ def with_joint_laws(
 def _nothing_to_explain(chain: Chain, estimate: Estimate, table: ObservationTable) -> bool:
     """Return whether the declared noise explains the residuals, or the fit is unsuitable for adding laws.
 
-    A fault of a joint, such as an eccentric code wheel, is what laws describe.
-    If observations of one kind have one unit, their sigmas may all be too large, which hides what laws would explain.
-    If there are several, only some may be: the single factor learned from all of them would be too small for the
-    others, and laws would follow their noise.
+    A fault of a joint, such as an eccentric code wheel, is what laws describe. If observations of one kind have one
+    unit, their sigmas may all be too large, which hides what laws would explain. If there are several, only some may
+    be: the single factor learned from all of them would be too small for the others, and laws would follow their noise.
     """
     low, high = estimate.chi2_band
     of_one = np.unique(table.kind[estimate.fitted]).size == len(estimate.residual) == 1
@@ -206,7 +205,10 @@ class _Work:
     request: LawRequest
 
     def supported(self, laws: Sequence[Law], nearly: LawChoice | None) -> LawChoice:
-        """Return those of some laws that the rows support beside faults; ``nearly``: the choice of nearly the same rows."""
+        """Return those of some laws that the rows support beside faults.
+
+        ``nearly``: the choice of nearly the same rows.
+        """
         noise = PoseNoise.of(max(self.geometry.chi2_reduced / 2.0, 1e-3), len(self.chain.joints), JOINT_NOISE)
         fitted, make = self.table.select(self.geometry.fitted), partial(self.problem, beside=self.request.faults)
         choice = supported(make, laws, regions(fitted, poses(fitted)), nearly or noise)
@@ -221,7 +223,7 @@ class _Work:
         return in_any_pose(self.chain, self.table.select(rows[thinned(rows.size, LEAST_POSES)]))
 
     def rows(self, laws: Sequence[Law], beside: tuple[Effect, ...]) -> Problem:
-        """Compile the fitted rows, and those left out of the fit as outliers, for a robot with laws and further effects."""
+        """Compile the fitted rows, and those left out as outliers, for a robot with laws and further effects."""
         chain, prior, fitted = with_laws(self.chain, laws), self.request.prior_sigma, self.geometry.fitted
         prior = np.append(prior, np.full(len(chain.parameters) - prior.size, np.inf))
         return build_problem(chain, self.rig, self.table, prior, (*self.request.effects, *beside), fitted)
@@ -315,7 +317,10 @@ class _Work:
 
 
 def _precision_root(root: Floats) -> Floats:
-    """Return W (l, l) with W Wᵀ the inverse of R Rᵀ, R being ``root`` (l, f); directions without variance get nearly none."""
+    """Return W (l, l) with W Wᵀ the inverse of R Rᵀ, R being ``root`` (l, f).
+
+    Directions without variance get nearly none.
+    """
     covariance = root @ root.T
     covariance += np.diag(SMALLEST**2 * np.maximum(np.diag(covariance), np.finfo(float).tiny))
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T)

@@ -130,7 +130,10 @@ def _sags(
 
 
 def torques(chain: Chain, masses: SagMasses, q: Floats) -> Floats:
-    """Return torques (m, n) [kg·m] of unit masses and the chain's payload about the joint, with gravity of length 1, at readings q (n, j)."""
+    """Return torques (m, n) [kg·m] about the joint at readings q (n, j), with gravity of length 1.
+
+    They are those of unit masses and of the chain's payload.
+    """
     sagging = with_laws(chain, [masses])
     return Sag.of_chain(sagging).by_parameters(sagging.params_nominal, q.T)
 
@@ -164,7 +167,10 @@ def law_priors(chain: Chain, laws: Sequence[Law], q: Floats) -> dict[Law, LawPri
 
 
 def acting(law: Law) -> NDArray[np.bool_]:
-    """Return a mask of a law's coefficients without those of a curve that act at no reading within its ``covered`` ranges."""
+    """Return a mask of a law's coefficients.
+
+    It lacks those of a curve that act at no reading within its ``covered`` ranges.
+    """
     if not isinstance(law, CurveKnots):
         return np.ones(law.size, dtype=bool)
     # A coefficient acts up to two spacings away, and a spacing is at most REACH.
@@ -174,7 +180,7 @@ def acting(law: Law) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=8)
 def _spectra(count: int, spacing: float, periodic: bool) -> tuple[Floats, Floats]:
-    """Return the modes (m, m − 1) of m coefficients, all but the constant, and their variances at each length (o, m − 1).
+    """Return the modes (m, m − 1) of m coefficients, but the constant, and their variances at each length (o, m − 1).
 
     The modes are sines over the knots, on a circle or between mirrors. A Matérn-5/2 kernel has the spectral density
     (1 + (length · frequency)²/5)⁻³; the variance of a coefficient, between the mirrors, is 1.

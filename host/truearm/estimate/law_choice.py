@@ -115,7 +115,10 @@ def regions(table: ObservationTable, pose: Indices) -> Indices:
 
 
 def left_out_square(grams: Sequence[Floats], is_always: NDArray[np.bool_]) -> float:
-    """Return Σ |y_r − G_r u|² over the regions, from their [G_r|y_r]ᵀ[G_r|y_r]; ``is_always`` (s,): unknowns that are no law's."""
+    """Return Σ |y_r − G_r u|² over the regions, from their [G_r|y_r]ᵀ[G_r|y_r].
+
+    ``is_always`` (s,): unknowns that are no law's.
+    """
     total = np.sum(grams, axis=0)
     square = 0.0
     for gram in grams:
@@ -131,7 +134,10 @@ def left_out_square(grams: Sequence[Floats], is_always: NDArray[np.bool_]) -> fl
 
 
 def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
-    """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them; none if none does."""
+    """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them.
+
+    None if none does.
+    """
     sample, _ = problem.some()
     sizes = np.sqrt(sample.sizes(learned.variances) @ sample.prior.spectra)
     law_of_unknown = np.concatenate([np.full(sample.sigma.size, -1), sample.law_of_mode])

@@ -117,7 +117,7 @@ def modes_at(data: Seen, sizes: Floats) -> ModesAt:
 
 
 def nats_of(data: Seen, sizes: Floats, number: Indices) -> list[float]:
-    """Return by how much [nats] the log evidence falls without the modes of each ``number`` (f,), all others unchanged."""
+    """Return by how much [nats] the log evidence falls without the modes of each ``number`` (f,), others unchanged."""
     half = np.sqrt(sizes)[:, None] * data.root
     square = half.T @ half
     dropped = (half[number == law] for law in range(int(number.max(initial=-1)) + 1))
@@ -186,7 +186,10 @@ class LawProblem:
         return replace(self, columns=columns, is_law=self.is_law[active], basis=self.basis[acts])
 
     def some(self) -> tuple[LawProblem, int]:
-        """Return the problem of the ``acting`` coefficients and at most LEARNING random poses, and the stride of those for the noise."""
+        """Return the problem of the ``acting`` coefficients and at most LEARNING random poses.
+
+        Also the stride of those for the noise.
+        """
         residuals, numbers = 0, set[int]()
         for group in self.problem.groups:
             if group.row is not None:
@@ -206,7 +209,9 @@ class LawProblem:
         return independent(pose_rows(self.problem, x, self.columns, self.pose))
 
     def by_modes(self, matrix: Floats, x: Floats) -> Floats:
-        """Return ``matrix`` (n, k + 1) times T (k + 1, g + f + 1): rows [J|residual at x] times T are by g and f, about the reference.
+        """Return ``matrix`` (n, k + 1) times T (k + 1, g + f + 1).
+
+        Rows [J|residual at x] times T are by g and f, about the reference.
 
         The basis has a block for each law; one product with all of it costs several times as much.
         """
@@ -226,7 +231,9 @@ class LawProblem:
 def law_problem(
     problem: Problem, columns: Mask, start: Floats, pose: Indices, priors: Mapping[Law, LawPrior]
 ) -> LawProblem:
-    """Return a problem whose robot has laws with ``priors``, its last parameters; ``start`` (P,): the rest, fitted without.
+    """Return a problem whose robot has laws with ``priors``, its last parameters.
+
+    ``start`` (P,): the rest, fitted without.
 
     Unknowns without a prior get a weak one about ``start``, so redundant parameters are allowed.
     """
@@ -280,7 +287,9 @@ def learn(
     shared: bool = True,
     least: float = -math.inf,
 ) -> Learned:
-    """Learn variances and noise from at most LEARNING poses; without ``shared``, no error that the rows of a pose share.
+    """Learn variances and noise from at most LEARNING poses.
+
+    Without ``shared``, the rows of a pose share no error.
 
     They start from what was learned with more laws; with a noise alone, all variances start small. Learning ends once
     the evidence is less than ``least`` with a noise that was learned beside the laws.
@@ -313,7 +322,7 @@ def learn(
 
 
 def nats_of_scatter(problem: LawProblem, learning: Learned) -> float:
-    """Return how much the learned noise raises the log evidence over that of the sensors alone, as declared times a factor."""
+    """Return how much the learned noise raises the log evidence over the sensors', as declared times a factor."""
     alone = PoseNoise.of(learning.noise.sensor, learning.noise.joint.size)
     sensors = learn(problem, learning._replace(noise=alone), WITHOUT_SCATTER, shared=False)
     return max(learning.evidence - sensors.evidence, 0.0)
@@ -373,7 +382,9 @@ def _posterior(problem: LawProblem, x: Floats, data: _Data, variances: Floats) -
 
 
 def nearer_geometry(problem: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:
-    """Return the posterior moved towards ``problem.start``, the geometry alone, where the rows do not determine the difference.
+    """Return the posterior moved towards ``problem.start``, the geometry alone.
+
+    It is moved where the rows do not determine the difference.
 
     ``anywhere`` has rows of the same fixtures in random poses, and ``misfit`` is the reduced χ² of the geometry.
     """

@@ -48,7 +48,7 @@ class Ends(NamedTuple):
     predicted: float = 1e-8  # an RMS in all its printed digits
 
     def reached(self, chi2: Sequence[float], reduction: float) -> bool:
-        """Return whether further steps are of no use, from χ² at the start and after each step, and the next reduction."""
+        """Return whether further steps are of no use, from χ² at the start and after each, and the next reduction."""
         limit = (1.0 - self.worth) * chi2[-1 - self.steps] if len(chi2) > self.steps else np.inf
         return reduction < self.predicted * chi2[-1] or chi2[-1] > limit
 
@@ -156,7 +156,10 @@ def _too_few(iterations: int) -> str:
 
 
 def after_step(damping: float, gain: float, refused: bool) -> float:
-    """Return λ after a step that achieved the part ``gain`` of the predicted reduction; ``refused``: a smaller λ failed."""
+    """Return λ after a step that achieved the part ``gain`` of the predicted reduction.
+
+    ``refused``: a smaller λ failed.
+    """
     gain = min(gain, 1.0)  # if almost no gain was predicted, a larger ratio means only that the model was correct
     damping *= FAST_DECAY if gain > 0.9 and not refused else max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
     return max(damping, DAMPING_MIN) if damping else 0.0

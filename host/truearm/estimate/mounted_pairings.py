@@ -95,7 +95,7 @@ class MountingChances:
     by_words: Floats
 
     def likeliest(self, dwell: int) -> tuple[Pairing | None, float]:
-        """Return the most probable pairing of a dwell, None for something that is not in the rig, and its probability."""
+        """Return the most probable pairing of a dwell (None: something not in the rig), and its probability."""
         best = int(self.probability[dwell].argmax())
         return (*self.pairings, None)[best], float(self.probability[dwell, best])
 
@@ -130,7 +130,10 @@ def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
 
 
 def _annealed(fit: _Fit, transitions: Sequence[Floats], log_words: Floats) -> tuple[Floats, float]:
-    """Return state probabilities (n, k + 1) and their evidence, from fit and labels alternated under decreasing noise [m]."""
+    """Return state probabilities (n, k + 1) and their evidence.
+
+    Fit and labels are alternated under decreasing noise [m].
+    """
     nothing = np.zeros_like(log_words)
     probability, evidence = state_probabilities(transitions, log_words, nothing, nothing)
     if not fit.readings.read.any():
@@ -142,7 +145,10 @@ def _annealed(fit: _Fit, transitions: Sequence[Floats], log_words: Floats) -> tu
 
 
 def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
-    """Return the transition to each dwell (the first from anything), and (n, k + 1) the log-likelihood of operator input."""
+    """Return the transition to each dwell (the first from anything), and the log-likelihood (n, k + 1) of input.
+
+    The input is the operator's.
+    """
     number = {pairing: i for i, pairing in enumerate(pairings)}
     log_words = np.zeros((len(words.planned), len(pairings) + 1))
     wrong = mistakes(pairings)
@@ -296,7 +302,7 @@ class _Fit:
         misfits = _Misfits(*(np.full((self.n, self.k), np.nan) for _ in range(4)))
 
         def compare(left_out: slice, dwells: slice, are_run: bool) -> None:
-            """Compare dwells with the fit without ``left_out``, each given the one before; a run's also on their own."""
+            """Compare dwells with the fit without ``left_out``, each given the one before; a run's also alone."""
             less = jac[left_out] * weight[left_out, None]
             root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[left_out]))
             delta = root.T @ (root @ (rhs - less.T @ residual[left_out]))
@@ -324,7 +330,7 @@ class _Fit:
         return misfits
 
     def densities(self, misfits: _Misfits) -> tuple[Floats, Floats]:
-        """Return log-likelihoods (n, k + 1) [1/m] of each dwell's reading, if the state changed before and if it did not."""
+        """Return log-likelihoods (n, k + 1) [1/m] of each dwell's reading, if the state changed before and if not."""
         k, read, beyond = self.k, self.readings.read, self.readings.beyond & ~self.readings.read
         came = np.zeros((self.n, k + 1))
         came[read, :k] = log_density(misfits.misfit[read], misfits.sigma[read], misfits.sigma[read])

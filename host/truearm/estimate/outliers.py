@@ -107,7 +107,9 @@ def settled(
     options: Options,
     judge: Judge,
 ) -> Settled:
-    """Alternate the choice of rows and their fit, from a ``solution`` over x[columns] with the rows' ``weight`` (n_rows,).
+    """Alternate the choice of rows and their fit, from a ``solution`` over x[columns].
+
+    ``weight`` (n_rows,) is that of the rows.
 
     ``choose`` returns the rows to include by their squared distances, their widths, and the rows included so far. At
     most the part ``largest_share`` of all may be left out.
@@ -220,7 +222,7 @@ def matter(square: Floats, out: Mask) -> bool:
 
 
 def weightless(problem: Problem, columns: Mask, solution: Solution, included: Mask) -> Solution:
-    """Return a fit of the ``included`` rows (n_rows,) with the residuals of all rows, of which the others have weight 0."""
+    """Return a fit of the ``included`` rows (n_rows,) with the residuals of all, of which the others have weight 0."""
     residual, nothing = problem.no_residuals(), np.zeros_like(columns)
     of_others = observe(only(problem, ~included), solution.x, nothing).residual
     for unit, errors in (*solution.information.residual.items(), *of_others.items()):
@@ -237,7 +239,9 @@ def fit_with_all(problem: Problem, columns: Mask, complete: Solution, solution: 
 
 
 def misfit(square: Floats, width: Indices, included: Mask) -> Floats:
-    """Return by how much (n,) the median of the ``included`` squared distances of each width exceeds that of noise, at least 1.
+    """Return by how much (n,) the median square of each width exceeds that of noise, at least 1.
+
+    Only ``included`` rows count.
 
     The usual row errs in proportion, so that a row as far beyond the gate is no outlier. What chance may add to the
     median, two of its standard deviations, is taken off.

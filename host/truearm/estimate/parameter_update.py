@@ -107,12 +107,17 @@ def _posed(base: _Base, x: Floats) -> _Pose:
 
 
 def _small_turn(rot: Floats) -> Floats:
-    """Return sin θ times the axis of a rotation (3, 3) by θ: its rotation vector, but for θ³/6, which Newton's next step takes."""
+    """Return sin θ times the axis of a rotation (3, 3) by θ.
+
+    It is the rotation vector, but for θ³/6, which Newton's next step takes.
+    """
     return 0.5 * np.array([rot[2, 1] - rot[1, 2], rot[0, 2] - rot[2, 0], rot[1, 0] - rot[0, 1]])
 
 
 def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Floats:
-    """Return x (k,) after a step that moves base and points along the screw; ``added_to`` is x + Δ, and remains otherwise.
+    """Return x (k,) after a step that moves base and points along the screw.
+
+    ``added_to`` is x + Δ, and remains otherwise.
 
     It is returned unchanged if the turn is so small that this makes no difference, or if no parameters give the pose.
     """

@@ -42,7 +42,10 @@ MOTIONS = 3  # columns of a translation, and of a rotation, of the end
 
 
 class PoseNoise(NamedTuple):
-    """Variances: a factor ``sensor`` on the declared ones, ``shared`` [m²], ``turned`` [rad²], ``joint`` (j,) [rad² or m²]."""
+    """Variances: a factor ``sensor`` on the declared ones, ``shared`` [m²], ``turned`` [rad²], ``joint`` (j,).
+
+    The last are in rad² or m².
+    """
 
     sensor: float
     shared: float
@@ -219,7 +222,7 @@ def independent(rows: Iterable[RowsByPose]) -> Iterator[RowsByPose]:
 
 
 def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -> tuple[Floats, float]:
-    """Return the information (k + 1, k + 1) of poses [J|f]ᵀR⁻¹[J|f] with this noise, ``width`` is k + 1, and log det R."""
+    """Return the information [J|f]ᵀR⁻¹[J|f] (k + 1, k + 1) of poses for this noise, log det R; ``width`` = k + 1."""
     information, logdet = np.zeros((width, width)), 0.0
     for poses in rows:
         root = np.linalg.cholesky(poses.covariances(noise))
@@ -230,7 +233,9 @@ def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -
 
 
 def _by_unknowns(twists: Floats, columns: NDArray[np.bool_], root: Floats | None) -> Floats | csr_array:
-    """Return (b + r + 1, k + 1), nearly all zeros: wrenches, by the rig's unknowns and residual times it are rows of ``RowsByPose``.
+    """Return (b + r + 1, k + 1), nearly all zeros.
+
+    Wrenches, by the rig's unknowns and residual times it are rows of ``RowsByPose``.
 
     With a ``root`` (k, r), the unknowns are these by it.
     """
@@ -253,7 +258,7 @@ class PoseSample(NamedTuple):
 
 
 def pose_samples(rows: Iterable[RowsByPose], step: Floats, posterior: Floats, stride: int) -> list[PoseSample]:
-    """Return what every ``stride``-th pose says of the noise once x has moved by −``step`` (k,); ``posterior`` (k, k)."""
+    """Return what every ``stride``-th pose says of the noise once x moved by −``step`` (k,); ``posterior`` (k, k)."""
     samples = []
     for poses in rows:
         if not poses.is_knowledge:
@@ -266,7 +271,9 @@ def pose_samples(rows: Iterable[RowsByPose], step: Floats, posterior: Floats, st
 
 
 def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool) -> PoseNoise:
-    """Return the noise at which the gradient of the evidence vanishes for a fixed posterior; without ``shared`` p and w stay 0.
+    """Return the noise at which the gradient of the evidence vanishes for a fixed posterior.
+
+    Without ``shared`` p and w stay 0.
 
     With e = R⁻¹ r the gradient by the variance of a part R_k is ½ (Σ eᵀ R_k e − Σ tr R⁻¹R_k + Σ tr R⁻¹ J P Jᵀ R⁻¹ R_k).
     The last term is the share of the part's rows absorbed by the unknowns. It is kept constant while the variances are

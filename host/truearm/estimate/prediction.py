@@ -135,7 +135,9 @@ def predicted_point_error(
 
 
 def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """Return the mean square (n,) [m²] of the arm's own scatter at the measured points, where it was learned; 0 elsewhere.
+    """Return the mean square (n,) [m²] of the arm's own scatter at the measured points, where it was learned.
+
+    0 elsewhere.
 
     It is the error that the poses do not share: of each joint, and of a motion of the last link. Faults that explain
     the residuals pass for scatter, and are stated for themselves.
@@ -152,7 +154,7 @@ def _scatter(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimat
 def _joint_motion(
     chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, scatter: Scatter
 ) -> tuple[Floats, Floats]:
-    """Return the places (n, 3) of the measured points on the end, and their motion (n, 3, j) [m] by each joint's scatter."""
+    """Return the places (n, 3) of the measured points on the end, and their motion (n, 3, j) [m] by each joint's σ."""
     places, _ = measured_points(rig, table, estimate)
     _, _, by_joints = point_jacobians(chain, estimate.value[: estimate.n_robot_parameters], table.q, places)
     return places, by_joints * [scatter.joint[joint.name] for joint in chain.joints]
@@ -173,13 +175,13 @@ def with_scatter_at_tool(chain: Chain, rig: Rigs, table: ObservationTable, estim
 
 
 def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """Return the distances (n,) [m] of the nominal robot's measured points from those of the identified robot, over their poses."""
+    """Return the distances (n,) [m] between the measured points of nominal and identified robot, over their poses."""
     poses = table.select(thinned(len(table), MOST_POSES))
     return np.asarray(np.linalg.norm(nominal_gap(chain, rig, poses, estimate), axis=1))
 
 
 def nominal_gap(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """Return the vectors (n, 3) [m], in the base frame, from the nominal robot's measured points to those of the identified robot.
+    """Return the vectors (n, 3) [m] in the base frame from the nominal robot's measured points to the identified ones.
 
     The nominal robot's base is placed by all points, and its point on the end too: how they are mounted does not count.
     """
@@ -196,7 +198,9 @@ def nominal_gap(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Esti
 
 
 class EndSigmas(NamedTuple):
-    """Standard deviations of a point of the end, (n,) m, and of the end's orientation, (n,) rad: RMS norms of three axes.
+    """Standard deviations of a point of the end (n,) [m] and of its orientation (n,) [rad].
+
+    They are RMS norms of three axes.
 
     ``relative``: without a motion of all of them as one rigid body.
     """

@@ -52,7 +52,10 @@ PLACED = Fault(slice(None))  # a place of sockets, by the motion of all of them
 
 @dataclass(frozen=True)
 class Problem:
-    """Observations compiled against x; ``prior_sigma`` is inf where x has no prior, and the prior's mean is ``start``."""
+    """Observations compiled against x.
+
+    ``prior_sigma`` is inf where x has no prior, and the prior's mean is ``start``.
+    """
 
     chain: Chain
     names: tuple[str, ...]  # P
@@ -110,13 +113,13 @@ def build_problem(
 ) -> Problem:
     """Compile the ``rows`` of a table into a problem.
 
-    ``prior_sigma`` (p,): σ of robot parameters, inf for none. ``rig`` is one rig for all rows, or rigs
-    by the names in the table's ``rig`` column. ``effects`` are systematic errors that become parameters too, the last
-    of x. Their spans and drifts are those of the whole table.
+    ``prior_sigma`` (p,): σ of robot parameters, inf for none. ``rig`` is one rig for all rows, or rigs by the names in
+    the table's ``rig`` column. ``effects`` are systematic errors that become parameters too, the last of x. Their spans
+    and drifts are those of the whole table.
 
     Raises ProblemError for joint readings that do not match the robot, for unknown kinds, chucks, spheres or bars
-    (naming the row), for missing readings, for rigs that differ in the noise of the
-    joints, and for a parameter of the rig that has the name of one of the robot.
+    (naming the row), for missing readings, for rigs that differ in the noise of the joints, and for a parameter of the
+    rig that has the name of one of the robot.
     """
     if effects:
         causes = build_problem(chain, rig, table).causes
@@ -248,7 +251,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
 
 
 def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
-    """Return the problem with unknown deviations of links from their encoders, ``sigma`` (n_rows, j), as noise of the rows."""
+    """Return the problem with deviations of links from encoders, ``sigma`` (n_rows, j), as noise of the rows."""
     groups: list[Group] = []
     for group in problem.groups:
         of_rows = np.zeros((0, 0)) if group.row is None else sigma[group.row]
@@ -275,7 +278,10 @@ def pieces(group: Group, size: int = BLOCK) -> Iterator[Group]:
 
 
 def note(block: Group, residual: Floats, out: Residuals) -> None:
-    """Write a block's residuals (n·w,) to their rows of the table, unit by unit; knowledge does not belong to any row."""
+    """Write a block's residuals (n·w,) to their rows of the table, unit by unit.
+
+    Knowledge does not belong to any row.
+    """
     if block.row is not None:
         for unit, figure in block.by_unit(residual).items():
             out[unit][block.row] = figure

@@ -66,7 +66,7 @@ def warning(runs: int) -> str:
 
 
 def _fused(prior: Floats, target: Floats, data: Information) -> tuple[Floats, Floats]:
-    """Return root (k, k) and right side (k,) of the data with the rows of a ``prior`` (k, k), which is ``target`` (k,)."""
+    """Return root (k, k) and right side (k,) of the data and the rows of a ``prior`` (k, k) of ``target`` (k,)."""
     k = len(prior)
     rows = [np.column_stack([prior, target]), np.column_stack([data.root, data.rhs])]
     triangle = fold(np.zeros((k + 1, k + 1)), np.concatenate(rows))

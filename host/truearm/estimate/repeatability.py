@@ -1,5 +1,4 @@
-"""Repeatability of a robot from visits to the same poses from different sides: spread, backlash and noise, with
-intervals.
+"""Repeatability of a robot from visits to the same poses from different sides: spread, backlash, noise, intervals.
 
 Visit i of pose g has the length ℓ_i and the mean reading q_i, and joint j approached from the side s_ij = ±1. The part
 explained by the readings is subtracted, y_i = ℓ_i − J_g (q_i − q̄_g): the rest is noise to an identification. If the

@@ -34,7 +34,7 @@ def result_of(
     predicted: results.PredictedError | None = None,
     **fields: Any,
 ) -> Result:
-    """Return the content of result.json for an estimate from ``table``: its attributes that are fields, and what follows.
+    """Return the content of result.json for an estimate from ``table``: attributes that are fields, and what follows.
 
     ``predicted`` is the predicted error of the tool. ``fields`` are those that do not follow from an estimate, such as
     ``inputs`` and ``prior``.
@@ -56,7 +56,7 @@ def result_of(
         "robot": robot,
         "joint_range": {"lower": q.min(axis=0), "upper": q.max(axis=0)},
         "observations": _counts(estimate, table, units),
-        # The prior of the evidence constrains the coefficients of joint laws: they count neither as free nor in the rank.
+        # The evidence's prior constrains the coefficients of joint laws: they count neither as free nor in the rank.
         "n_free": int(free[: estimate.n_robot_parameters].sum()) - len(estimate.law_parameters),
         "free": names[free],
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)],
@@ -167,7 +167,10 @@ def residual_units(estimate: results.Estimate) -> list[str]:
 
 
 def _counts(estimate: results.Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
-    """Return how many rows of each rig and kind were fitted and held out, with their errors; rows left out are in none."""
+    """Return how many rows of each rig and kind were fitted and held out, with their errors.
+
+    Rows left out are in none.
+    """
     unfitted = ~(estimate.fitted | estimate.left_out) if estimate.left_out.size else ~estimate.fitted
     columns = [column for column in identifiers() if column not in ORIGINS]
     entries = []

@@ -1,4 +1,4 @@
-"""The file result.json: the declaration of its fields, and how it is read and written (docs/reference/result-format.md).
+"""The file result.json: its fields, and how it is read and written (docs/reference/result-format.md).
 
 The file is strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. It is written atomically. A
 checksum over its content detects damage, and a content with the right checksum is believed: only types and bounds are
@@ -154,7 +154,9 @@ class LawsEntry(Struct, frozen=True):
 
 
 class ParameterEstimate(Struct, frozen=True, kw_only=True):
-    """A parameter in its SI unit, before and after; ``sigma`` is None unless it is free and the observations determine it.
+    """A parameter in its SI unit, before and after.
+
+    ``sigma`` is None unless it is free and the observations determine it.
 
     ``of`` is "robot" or "rig". ``value`` is None if it does not exist, ``seen`` is False if ``sigma`` is None.
 

@@ -80,7 +80,7 @@ def _lengths(chain: Chain, estimate: Estimate) -> Indices:
 
 
 def _determined(estimate: Estimate, lengths: Indices, tolerance: float) -> Floats:
-    """Return orthonormal combinations (m, k) of ``lengths`` (m,) that are identifiable, with σ below ``tolerance`` [m]."""
+    """Return orthonormal identifiable combinations (m, k) of ``lengths`` (m,), with σ below ``tolerance`` [m]."""
     names = [estimate.parameter_names[i] for i in lengths]
     decomposition = np.linalg.svd(weights_of(estimate.null_space, names))
     identifiable = decomposition.U[:, int((decomposition.S > NO_SHARE).sum()) :]

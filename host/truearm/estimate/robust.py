@@ -63,7 +63,10 @@ def weigh(loss: Loss, length: Floats, width: int) -> Weighted:
 
 
 def tuning(of_one: float, width: int) -> float:
-    """Return c for observations with ``width`` residuals: the quantile of χ_width that ``of_one`` (HUBER, CAUCHY) is of χ_1."""
+    """Return c for observations with ``width`` residuals.
+
+    It is the quantile of χ_width that ``of_one`` (HUBER, CAUCHY) is of χ_1.
+    """
     inside = special.gammainc(0.5, of_one**2 / 2.0)
     return float(np.sqrt(2.0 * special.gammaincinv(width / 2.0, inside)))
 
@@ -80,7 +83,7 @@ def clean_square(loss: Loss, width: int) -> float:
 
 
 class Moments(NamedTuple):
-    """Sums over observations for the covariance: of a, of the derivative's square, of b and of the weights, and their number."""
+    """Sums over observations for the covariance: of a, the derivative's square, b and the weights, and their number."""
 
     a: float = 0.0
     square: float = 0.0

@@ -1,4 +1,4 @@
-"""What each row of a fit shows: its distance from the others, its error without its pose, and its share of declared noise.
+"""What each row of a fit shows: its distance from the others, its error without its pose, its share of noise.
 
 One walk over the whitened rows serves all three; no refit is needed. With the noise R of a pose (``pose_noise``), the
 residuals e and their leverage H = J P Jᵀ, the fit without the pose leaves R (R − H)⁻¹e, to first order and with
@@ -43,7 +43,10 @@ Judge = Callable[[Solution, Floats], RowErrors]
 
 
 def judging(problem: Problem, columns: NDArray[np.bool_], pose: Indices) -> Judge:
-    """Return ``row_errors`` of fits of x[columns] with the weights (n,) of their rows; those of the last fit are kept."""
+    """Return ``row_errors`` of fits of x[columns] with the weights (n,) of their rows.
+
+    Those of the last fit are kept.
+    """
     last: dict[bytes, RowErrors] = {}
 
     def judge(solution: Solution, weight: Floats) -> RowErrors:
@@ -107,7 +110,7 @@ def row_errors(
 
 
 def left_out_errors(problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices) -> Residuals:
-    """Return the magnitude (n_rows,) of each row's error in a fit without its pose, by SI unit, as ``row_errors`` does."""
+    """Return the magnitude (n_rows,) of each row's error in a fit without its pose, by SI unit (``row_errors``)."""
     errors = problem.no_residuals()
     for poses in _poses(problem, x, columns, root, pose, None):
         alone = poses.expanded(_without_pose(leverages(poses.rows[..., :-1]), poses.rows[..., -1:], None))
@@ -134,7 +137,9 @@ def _note(errors: Residuals, group: Group, noise_root: Floats, whitened: Floats)
 
 
 def _without_pose(leverage: Floats, residual: Floats, covariance: Floats | None) -> Floats:
-    """Return the residuals R (R − H)⁻¹e (n, w, 1) of fits without each pose; NaN where its rows alone determine an unknown.
+    """Return the residuals R (R − H)⁻¹e (n, w, 1) of fits without each pose.
+
+    NaN where its rows alone determine an unknown.
 
     ``leverage`` is H (n, w, w), ``residual`` e (n, w, 1), and ``covariance`` R (n, w, w), None for I.
     """

@@ -25,7 +25,7 @@ class Prior(StrEnum):
 
 
 class LawMode(StrEnum):
-    """The terms of the joint law beyond offset and gain that an identification may add if the evidence supports them."""
+    """Terms of the joint law beyond offset and gain that an identification may add if the evidence supports them."""
 
     AUTO = "auto"
     NONE = "none"

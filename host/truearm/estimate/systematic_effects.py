@@ -35,7 +35,7 @@ MOVED = Fault(slice(None), constant=False)  # base, tool or joint: a constant er
 
 
 class Errors(NamedTuple):
-    """Everything by which a prediction can be off to first order: names and SI units of the columns of ``error_columns``."""
+    """What a prediction can be off by to first order: names and SI units of the columns of ``error_columns``."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -51,7 +51,7 @@ class Errors(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """An item and the ways in which it can be off: "chuck.c1" with its coordinates, "bar.b46.zero", "joint2", "base"."""
+    """An item and how it can be off: "chuck.c1" with its coordinates, "bar.b46.zero", "joint2", "base"."""
 
     name: str
     numbers: tuple[str, ...]
@@ -118,13 +118,16 @@ def profile(effect: Effect, rows: Circumstances) -> Floats:
 
 
 def error_columns(lin: Linearised, bodies: Floats) -> Floats:
-    """Return derivatives (w, n, c + t) of the predictions of ``Group.opened`` by rig, joints, base and ``Errors.bodies`` (c, t)."""
+    """Return derivatives (w, n, c + t) of the predictions of ``Group.opened``.
+
+    They are by rig, joints, base and ``Errors.bodies`` (c, t).
+    """
     single = np.concatenate([lin.jac_rig, lin.by_joints, lin.wrenches[..., : len(BASE)]], axis=2)
     return np.concatenate([single, single @ bodies], axis=2) if bodies.size else single
 
 
 def motion_of_body(names: Sequence[str], points: Mapping[str, Floats], about: Floats) -> Floats:
-    """Return (c, 6) the columns that move some ``points`` (x, y, z by name) together, as MOTION, turned ``about`` (3,)."""
+    """Return the columns (c, 6) that move ``points`` (x, y, z by name) together, as MOTION, turned ``about`` (3,)."""
     index = {name: i for i, name in enumerate(names)}
     out = np.zeros((len(names), len(MOTION)))
     for name, point in points.items():
@@ -171,7 +174,7 @@ class EffectRows(GroupOfOther):
         return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, fixed], axis=2))
 
     def _displaced(self, chain: Chain, x: Floats) -> tuple[Linearised, Floats]:
-        """Return the inner group with the items displaced by the whole effects, and derivatives (w, n, e) by all effects."""
+        """Return the inner group, its items displaced by whole effects, and derivatives (w, n, e) by all effects."""
         inside, off = np.split(x, [x.size - self.columns.size])
         amount = np.where(self.whole, off * self.profile[0], 0.0)
         lin, errors = _with_items_off(self.inner, self._loaded(chain), inside, self.bodies, self.columns, amount)
@@ -196,7 +199,7 @@ class EffectRows(GroupOfOther):
 def _with_items_off(
     group: Group, chain: Chain, x: Floats, bodies: Floats, columns: Indices, amount: Floats
 ) -> tuple[Linearised, Floats]:
-    """Return a group with items off by an ``amount`` (e,) of some ``columns`` of its ``error_columns``; and these at it.
+    """Return a group with items off by an ``amount`` (e,) of some ``columns`` of its ``error_columns``, and these then.
 
     The numbers of the rig are other numbers. The base is moved by a rotation vector about its origin, then displaced:
     the chain begins with that motion. A motion of the tool or a place moves each of its points as its derivatives say.

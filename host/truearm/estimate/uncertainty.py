@@ -104,12 +104,15 @@ def weak_prior(chain: Chain) -> Floats:
 
 
 def wide_prior(chain: Chain) -> Floats:
-    """Return standard deviations (p,) by unit, for hand-made mountings: 10 mm, 3° (Renders 1991, III-C), 1e-2 of a gain."""
+    """Return standard deviations (p,) by unit, for hand-made mountings.
+
+    They are 10 mm, 3° (Renders 1991, III-C), and 1e-2 of a gain.
+    """
     return np.array([UNITS[p.unit].wide_sigma for p in chain.parameters])
 
 
 def prior_named(chain: Chain, prior: Prior) -> Floats:
-    """Return the standard deviations (p,) of a prior, inf for none; also for one where needed, which depends on the data."""
+    """Return the standard deviations (p,) of a prior; inf for none, and for one where needed, which the data choose."""
     match prior:
         case Prior.NONE | Prior.WHERE_NEEDED:
             return np.full(len(chain.parameters), np.inf)

@@ -87,7 +87,9 @@ def judge(
     place: NDArray[np.bool_] | None = None,
     allowed: Sequence[Effect] = (),
 ) -> Judgement:
-    """Evaluate the robot with parameters (p,) on a table. Raises ProblemError for the same reasons as ``build_problem``.
+    """Evaluate the robot with parameters (p,) on a table.
+
+    Raises ProblemError for the same reasons as ``build_problem``.
 
     kept : values of the rig's unknowns, by name, that are kept instead of estimated; others are skipped.
     allowed : systematic errors in all rows that the identification estimated; those that are kept are parameters here
@@ -201,7 +203,7 @@ def consistency(judgement: Judgement, covariance: Floats, unseen: Floats) -> Con
 
 
 def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
-    """Return combinations (d, e) of ``unseen`` directions (k, d) that move the rows unlike the rig's unknowns (k, s) can.
+    """Return combinations (d, e) of ``unseen`` directions (k, d) that move the rows as no rig's unknowns (k, s) can.
 
     They do so by more than FELT times the effect of a single parameter, in the information's ``root`` (k, k).
     """
@@ -236,7 +238,7 @@ def has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDAr
 
 
 def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str, MeanError]:
-    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses.
+    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and their poses' numbers (n,).
 
     The interval is that of the mean of the poses' mean errors (Student's t). Without held-out rows, each pose was left
     out in turn (``row_errors``). Empty for fewer than two poses.
@@ -284,7 +286,7 @@ def gain_of(changes: Mapping[str, MeanChange]) -> Gain | None:
 
 
 def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[str, MeanChange]:
-    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses."""
+    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and their poses' numbers (n,)."""
     changes = {}
     for unit in before:
         nominal, calibrated = pose_means(pose, before[unit], after[unit])

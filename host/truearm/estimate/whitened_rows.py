@@ -83,7 +83,7 @@ def observe_robustly(
 
 
 def weighted_chi2(problem: Problem, x: Floats, loss: Loss) -> tuple[float, int]:
-    """Return χ² at x (P,) with the squares of all observations weighted by a robust loss, and their number of residuals.
+    """Return χ² at x (P,) with all squares weighted by a robust loss, and the number of residuals.
 
     It is in units of clean observations: for these, its mean is that of χ² without weights.
     """

@@ -14,7 +14,9 @@ from truearm.additions import with_additions
 
 
 class Format(NamedTuple):
-    """A format: its writer as "module:function", where ".module" is one of this package, its text in ``--help``, and what it can hold.
+    """A format: its writer, its text in ``--help``, and what it can hold.
+
+    The writer is written as "module:function", where ".module" is one of this package.
 
     ``suffix``: of its files. ``holds``: the terms of the joint law (``joint_law.terms``) that its writer writes. Other
     terms are neutral in the robot passed to the writer: the remaining parameters are refitted, and the remaining error

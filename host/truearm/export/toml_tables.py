@@ -11,8 +11,8 @@ manufacturers do.
 
 Nearly parallel axes have a distant normal, hundreds of metres for an arm as built, and such d of successive rows
 cancel. Each row begins at the frame that the rows before it give in floating point, so the rows predict the arm to
-1e-15 of the largest d. With ``hayati``, nearly parallel rows have Hayati's β and d = 0 instead (``model.robot_tables``).
-Exactly parallel axes have d = 0.
+1e-15 of the largest d. With ``hayati``, nearly parallel rows have Hayati's β and d = 0 instead
+(``model.robot_tables``). Exactly parallel axes have d = 0.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhR
 
 
 def _ways(nominal: LinkFrames) -> tuple[list[Floats], list[bool]]:
-    """Return the nominal x axes of frames 1 to n − 1 with the smallest θ, and whether axes are nearly parallel there."""
+    """Return the nominal x axes of frames 1 to n − 1 with the least θ, and whether axes are nearly parallel there."""
     *axes, _ = _axes(nominal)
     frame, directions, parallel = _frame_on(axes[0], np.eye(4)), [], []
     for axis in axes[1:]:
@@ -82,7 +82,7 @@ def _ways(nominal: LinkFrames) -> tuple[list[Floats], list[bool]]:
 
 
 def _axes(robot: LinkFrames) -> list[Floats]:
-    """Return frames (4, 4) whose z axes are those of the joints, and the flange, in the robot's base frame, at variables 0."""
+    """Return frames (4, 4) with the joints' z axes, and the flange, in the robot's base frame, at variables 0."""
     return list(accumulate(robot.links, np.matmul))
 
 
@@ -103,7 +103,7 @@ def _frame(origin: Floats, x: Floats, z: Floats) -> Floats:
 
 
 def _normal(frame: Floats, axis: Floats) -> tuple[float, Floats, float]:
-    """Return how far up the frame's z axis the common normal leaves it, its direction to the axis, the sine between both."""
+    """Return how far up the z axis the common normal leaves it, its direction to the axis, the sine between both."""
     z, z_next = frame[:3, 2], axis[:3, 2]
     across = np.cross(z, z_next)
     sine = float(np.linalg.norm(across))
@@ -116,7 +116,7 @@ def _normal(frame: Floats, axis: Floats) -> tuple[float, Floats, float]:
 
 
 def _toward(frame: Floats, axis: Floats) -> tuple[float, Floats]:
-    """Return distance and direction to the point where a nearly parallel axis meets the plane across the frame's z axis."""
+    """Return distance and direction to the point where a nearly parallel axis meets the plane across the z axis."""
     z, z_next = frame[:3, 2], axis[:3, 2]
     vector = axis[:3, 3] + z_next * (z @ (frame[:3, 3] - axis[:3, 3])) / (z @ z_next) - frame[:3, 3]
     distance = float(np.linalg.norm(vector))

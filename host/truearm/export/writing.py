@@ -135,8 +135,8 @@ class RobotToWrite:
     """The input of a format's writer: a robot whose joint law contains only what the format holds.
 
     ``nominal`` and ``params`` are parameters (p,). ``mountings`` False: both ends as nominal. ``comment``: text for the
-    head of the file. ``urdf``: the robot's original text, None if that is not a URDF. ``drawing``: parameters (p,) of the
-    drawing, None if that is the nominal robot.
+    head of the file. ``urdf``: the robot's original text, None if that is not a URDF. ``drawing``: parameters (p,) of
+    the drawing, None if that is the nominal robot.
     """
 
     chain: Chain
@@ -289,8 +289,8 @@ def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[n
 
     Renders (1991, III-F) identifies only what the controller lets its user adjust. Here the identified robot provides
     the data: the values of the adjustable parameters are those that bring the end closest to the identified robot's.
-    Where parameters are interchangeable, the smallest change is taken. This is least squares over four marks on the end,
-    LEVER apart, so that rotations of the end count as well. Parameters count in units of a drawing's tolerances.
+    Where parameters are interchangeable, the smallest change is taken. This is least squares over four marks on the
+    end, LEVER apart, so that rotations of the end count as well. Parameters count in units of a drawing's tolerances.
     """
     params = np.array(start, dtype=float)
     unit = np.array([UNITS[p.unit].weak_sigma for p in chain.parameters])[adjustable]

@@ -126,7 +126,10 @@ def identifiers() -> tuple[str, ...]:
 
 
 def is_label(column: str) -> bool:
-    """Return whether a column is one of the user's own, x_…, by which rows can be held out and which is otherwise ignored."""
+    """Return whether a column is one of the user's own, x_….
+
+    Rows can be held out by such a column, which is otherwise ignored.
+    """
     return column.startswith("x_") and column not in MEASURED_X
 
 

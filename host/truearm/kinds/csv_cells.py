@@ -112,8 +112,9 @@ def joint_titles(letter: str, suffixes: Iterable[str], joints: int) -> dict[str,
 def read_header(header: list[str], titles: Titles, name: str, docs_page: str, ignored: str = "") -> dict[str, Column]:
     """Return the columns of a file by quantity, and the user's own by their title.
 
-    Columns without a title, ``note``, and those that match ``ignored`` are skipped. The first of ``titles`` must be there.
-    Raises TableError with the title that was probably meant; ``docs_page`` refers to the page on which all are described.
+    Columns without a title, ``note``, and those that match ``ignored`` are skipped. The first of ``titles`` must be
+    there. Raises TableError with the title that was probably meant; ``docs_page`` refers to the page on which all are
+    described.
     """
     first, columns = next(iter(titles)), dict[str, Column]()
     if not difflib.get_close_matches(first, [title.lower() for title in header]):
@@ -228,7 +229,10 @@ class CsvTable:
         return out
 
     def numbered(self, letter: str) -> list[Column]:
-        """Return the columns of a quantity with one column per joint, in joint order, without gaps. Raises TableError."""
+        """Return the columns of a quantity with one column per joint, in joint order, without gaps.
+
+        Raises TableError.
+        """
         numbers = sorted(int(name[len(letter) :]) for name in self.columns if re.fullmatch(rf"{letter}\d+", name))
         missing = set(range(1, max(numbers, default=0) + 1)) - set(numbers)
         if missing:

@@ -139,7 +139,7 @@ class Linearised(NamedTuple):
 def linearised(
     residual: Floats, derivative: PointDerivatives, x: Floats, *columns: tuple[Indices, Floats]
 ) -> Linearised:
-    """Return residuals, (m,) or (n, w), with the ``derivative`` of their predictions by the robot, and those by the rig at x (P,).
+    """Return residuals (m,) or (n, w) with the derivatives of their predictions by the robot and by the rig at x (P,).
 
     Each of the ``columns`` are the indices (n, c) of some of the rig's numbers and the derivatives (w, n, c) by these.
     """
@@ -201,7 +201,9 @@ class KindFault(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Group(ABC):
-    """n observations of one kind. Indices refer to x followed by ``constants``; fields that are not ``SHARED`` have n rows.
+    """n observations of one kind.
+
+    Indices refer to x followed by ``constants``; fields that are not ``SHARED`` have n rows.
 
     ``row`` is None for knowledge that is not a row of the table, such as a known distance between two sockets.
     """
@@ -234,11 +236,14 @@ class Group(ABC):
         return []
 
     def orientations(self) -> Indices:
-        """Return the indices (r, 3) of rotation vectors, known and repeated ones too. An estimator rotates these instead of adding to them."""
+        """Return the indices (r, 3) of rotation vectors, known and repeated ones too.
+
+        An estimator rotates these instead of adding to them.
+        """
         return np.zeros((0, 3), dtype=np.intp)
 
     def beside_base(self) -> Indices:
-        """Return the indices (r, 3) of points that stand beside the robot, in its base frame, known and repeated ones too."""
+        """Return the indices (r, 3) of points beside the robot, in its base frame, known and repeated ones too."""
         return np.zeros((0, 3), dtype=np.intp)
 
     def take(self, which: slice | NDArray[Any]) -> Self:

@@ -70,7 +70,7 @@ class RigUse(NamedTuple):
 def look_up(
     scope: Scope, rows: Indices, column_name: str, entries: Mapping[str, Any]
 ) -> tuple[list[Hashable], Indices]:
-    """Return the distinct names in the column ``column_name``, checked against the rig, and the index of each row's name.
+    """Return the distinct names in a column, checked against the rig, and the index of each row's name.
 
     An empty name stands for the only entry there is. Raises ProblemError that names the first row with a name that the
     rig does not have.
@@ -102,8 +102,8 @@ def use(
 ) -> Used:
     """Look up a column's names in the rig (``look_up``); ``numbers`` maps a name and its entry to the entry's numbers.
 
-    ``item``: what the rig calls the entry, if the column ``column_name`` is called otherwise. An item that rows name in two
-    columns then has its numbers once.
+    ``item``: what the rig calls the entry, if the column ``column_name`` is called otherwise. An item that rows name in
+    two columns then has its numbers once.
     """
     labels, which = look_up(scope, rows, column_name, entries)
     numbers_of_items = [
@@ -158,8 +158,8 @@ def nominal_points(scope: Scope, rows: Indices, points: Used) -> Floats:
 class DwellSensor:
     """A sensor that is read while the robot rests: its reading is zero + gain · extension [m or rad].
 
-    ``names``: of the rig's entries in its row, by column. ``sigma``: declared repeatability of a dwell, added to the noise
-    of the samples. Beyond ± ``travel``/2 an extension is not valid.
+    ``names``: of the rig's entries in its row, by column. ``sigma``: declared repeatability of a dwell, added to the
+    noise of the samples. Beyond ± ``travel``/2 an extension is not valid.
     """
 
     names: Mapping[str, str]
@@ -174,8 +174,8 @@ class Kind(KindColumns):
     """A kind of observation, registered under the name of its module (``truearm.kinds.NAMES``).
 
     An identifier names an entry of the rig if the rig has entries of that type. ``grouped_by`` are the columns whose
-    identifiers name what is mounted or where, and ``regions`` those whose identifiers are regions to validate separately.
-    A random selection of rows takes a proportional share of each identifier in the columns ``drawn_from``.
+    identifiers name what is mounted or where, and ``regions`` those whose identifiers are regions to validate
+    separately. A random selection of rows takes a proportional share of each identifier in the columns ``drawn_from``.
     """
 
     group: type[Group]  # the type that its rows are compiled into
@@ -231,5 +231,5 @@ class Kind(KindColumns):
         return self.group.COMPONENTS
 
     def points(self, rig: Rig) -> Mapping[str, Point]:
-        """Return the points of the robot's end that rows may name, by name; empty if the kind does not measure a point."""
+        """Return the points of the robot's end that rows may name, by name; empty if the kind measures no point."""
         return next((rig.named(entry.field) for entry in self.entries if entry.name == self.point), {})

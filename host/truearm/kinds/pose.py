@@ -2,8 +2,8 @@
 
 The first three residuals are those of ``position.py``. The measured orientation M (of the robot's end frame) and the
 predicted one P = R_dᵀ·R(q) differ by the rotation vector ρ = log(M Pᵀ), measured − predicted to first order. A small
-rotation δφ of the end about the base axes changes P to exp([R_dᵀδφ]×)P, so with log(exp(ρ)·exp(−δ)) = ρ − J_r⁻¹(ρ) δ and
-J_r(ρ) = J_l(ρ)ᵀ
+rotation δφ of the end about the base axes changes P to exp([R_dᵀδφ]×)P, so with log(exp(ρ)·exp(−δ)) = ρ − J_r⁻¹(ρ) δ
+and J_r(ρ) = J_l(ρ)ᵀ
 
     ∂predicted = J_l(ρ)⁻ᵀ R_dᵀ (∂φ_end − ∂φ_device) .
 
@@ -85,7 +85,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
 
 
 def _beside(cov: Floats, variance: Floats) -> Floats:
-    """Return the covariance (n, 6) or (n, 6, 6) of a point (n, 3) or (n, 3, 3) and three angles with one variance (n,)."""
+    """Return the covariance (n, 6) or (n, 6, 6) of points, (n, 3) or (n, 3, 3), and three angles of a variance (n,)."""
     angles = np.repeat(variance[:, None], 3, axis=1)
     if cov.ndim == 2:
         return np.concatenate([cov, angles], axis=1)

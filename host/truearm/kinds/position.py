@@ -117,8 +117,8 @@ def nearest_rotation(correlation: Floats, declared: Floats, largest_rank: int = 
     With ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ and two significant singular values, R = U diag(1, 1,
     ±1) Vᵀ (Arun, Huang, Blostein 1987; the sign ensures a rotation). Points on a line give one significant value: H
     only requires that v₁ is rotated to u₁, so R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, with Q (2, 2) in the same way closest to R_r in
-    that plane. A single point gives none, and R = R_r. ``largest_rank`` 1 uses at most one: the roll about the line is then the
-    declared one, regardless of the points.
+    that plane. A single point gives none, and R = R_r. ``largest_rank`` 1 uses at most one: the roll about the line is
+    then the declared one, regardless of the points.
     """
     u, size, vt = np.linalg.svd(correlation)
     k = min(largest_rank, int((size > STRAIGHT * size[0]).sum()), 2)

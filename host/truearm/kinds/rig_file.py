@@ -2,9 +2,9 @@
 
 The kinds of observation declare the entries that they use; a rig is read and written by these declarations.
 
-A noise file has the noise of a robot and a bar from ``truearm characterize``, for ``truearm identify --noise``, in keys of
-a rig file: ``joint_sigma_rad`` or ``joint_cov_si`` for the joint readings, and ``[[bar]]`` entries with a name and its
-``sigma``. They replace those of the rig. ``backlash_si`` and ``backlash_sigma_si`` are for the joints.
+A noise file has the noise of a robot and a bar from ``truearm characterize``, for ``truearm identify --noise``, in keys
+of a rig file: ``joint_sigma_rad`` or ``joint_cov_si`` for the joint readings, and ``[[bar]]`` entries with a name and
+its ``sigma``. They replace those of the rig. ``backlash_si`` and ``backlash_sigma_si`` are for the joints.
 """
 
 from __future__ import annotations
@@ -78,8 +78,9 @@ BACKLASH = (
 
 @dataclass(frozen=True)
 class NoiseFile:
-    """``joint_cov`` S_q [rad², m²], empty for none; ``bar_sigma`` [m] by the bar's name; ``name`` of the file, for
-    messages.
+    """``joint_cov`` S_q [rad², m²], empty for none.
+
+    ``bar_sigma`` [m] by the bar's name; ``name`` of the file, for messages.
 
     ``backlash`` and its sigma [rad, m]: as in a Rig.
     """
@@ -99,7 +100,10 @@ class BarSigma(NamedTuple):
 
 
 def _noise(bars: Mapping[str, BarSigma] | None = None, **values: Any) -> NoiseFile:
-    """Raise SchemaError unless backlash and its sigmas are given together, one of each for every joint of the covariance."""
+    """Raise SchemaError unless backlash and its sigmas are given together, one of each for every joint.
+
+    The joints are those of the covariance.
+    """
     noise = NoiseFile(bar_sigma={name: bar.sigma for name, bar in (bars or {}).items()}, **values)
     cov, width, width_sigma = noise.joint_cov, noise.backlash, noise.backlash_sigma
     if (width or width_sigma) and not cov:

@@ -189,7 +189,7 @@ def _places(scope: Scope, sockets: Used) -> dict[str, tuple[str, ...]]:
 
 
 def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
-    """Return the sockets of the seat rows by (place, socket): the rig's, otherwise unknown, at the mean predicted ball."""
+    """Return the sockets of the seat rows by (place, socket): the rig's, or unknown, at the mean predicted ball."""
     table = scope.table
     labels, which = enumerate_labels(list(zip(table.place[rows].tolist(), table.socket[rows].tolist(), strict=True)))
     pairs = [label for label in labels if isinstance(label, tuple)]
@@ -214,7 +214,7 @@ def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
 
 
 def check(table: ObservationTable, rig: Rig) -> None:
-    """Raise TableError for a socket in the rig, or a socket distance, that no seat uses and that would be silently ignored."""
+    """Raise TableError for a socket or socket distance of the rig that no seat uses: it would be silently ignored."""
     seats = table.kind == "seat"
     seated = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
     for place, socket in rig.sockets:

@@ -53,9 +53,9 @@ class ObservationTable(Displayed):
 
     ``x_day`` and other names that begin with ``x_`` are the user's own texts (n,), to hold rows out by.
 
-    Columns are given by name, in a mapping or as keywords; a word or a number stands for all rows. Raises TypeError or InputError for a column of the wrong type
-    or shape, or that no kind declares. ``replace(columns)`` returns the table with other columns, ``select(rows)`` the
-    rows of a mask or of indices, ``joined(tables)`` one table of several.
+    Columns are given by name, in a mapping or as keywords; a word or a number stands for all rows. Raises TypeError or
+    InputError for a column of the wrong type or shape, or that no kind declares. ``replace(columns)`` returns the table
+    with other columns, ``select(rows)`` the rows of a mask or of indices, ``joined(tables)`` one table of several.
 
     Examples
     --------

@@ -94,8 +94,8 @@ def read_table(
 ) -> ObservationTable:
     """Read a CSV table of observations.
 
-    If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it; those of the
-    robot's ``mimics`` may be missing, and are computed. If all rows have a time, they are returned in that order.
+    If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it; those of
+    the robot's ``mimics`` may be missing, and are computed. If all rows have a time, they are returned in that order.
     Raises TableError with file, row and column.
     """
     check_is_observations(path)
@@ -314,7 +314,10 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
 
 
 def column_of_title(table: ObservationTable, title: str) -> Floats | None:
-    """Return a column of numbers (n,) in the unit of its title, such as "payload_kg" or "q1_deg"; None if there is none."""
+    """Return a column of numbers (n,) in the unit of its title, such as "payload_kg" or "q1_deg".
+
+    None if there is none.
+    """
     if is_label(title) and title in table.columns:
         try:
             return np.where(table[title] == "", "nan", table[title]).astype(float)
@@ -356,7 +359,8 @@ def in_order_of_time(table: ObservationTable) -> ObservationTable:
 
     A table may be sorted by something else.
 
-    Also if a row has no time, or if the times begin again: several sessions, one after the other, each with its own zero.
+    Also if a row has no time, or if the times begin again: several sessions, one after the other, each with its own
+    zero.
     """
     time = table.time
     if len(table) < 2 or not np.isfinite(time).all():

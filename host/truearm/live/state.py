@@ -57,8 +57,8 @@ class SessionProgress:
 
     ``rows`` is the plan as in ``/plan``, [] without one. ``mounted`` is what is mounted according to the operator or
     the beginning of the plan. ``confirmed``: the operator stated it. ``done``: rows that were taken. ``unplanned``:
-    number of dwells and lines that are not in the plan, or without a plan. ``next``: the expected row. ``planned``: the rows by
-    kind of move.
+    number of dwells and lines that are not in the plan, or without a plan. ``next``: the expected row. ``planned``: the
+    rows by kind of move.
     """
 
     rows: Sequence[Mapping[str, Any]] = ()
@@ -174,8 +174,10 @@ class Rest:
         self._extremes = np.empty((0, 0))
 
     def extend(self, t_s: float, values: Floats, largest_range: float) -> bool:
-        """Take readings (n, k); return False, and begin a new rest, if they came after a gap or the range of all since
-        ``begin_s`` exceeds ``largest_range``.
+        """Take readings (n, k); return whether they continue the rest.
+
+        Otherwise they came after a gap, or the range of all since ``begin_s`` exceeds ``largest_range``, and a new rest
+        begins.
         """
         is_continued = 0.0 <= t_s - self.last_s <= GAP_S
         together = np.vstack([self._extremes, values]) if is_continued else values

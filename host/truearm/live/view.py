@@ -69,8 +69,9 @@ def may_ask() -> bool:
 
 @contextmanager
 def typed_lines(take: Callable[[str], None], one_by_one: bool) -> Iterator[Typed]:
-    """Call ``take`` with every typed line, from a thread. ``one_by_one``: the terminal passes on every key without
-    echo.
+    """Call ``take`` with every typed line, from a thread.
+
+    ``one_by_one``: the terminal passes on every key without echo.
 
     Ctrl-Z is disabled meanwhile: a suspended recorder loses what the box sends.
     """
@@ -119,9 +120,7 @@ def _in_foreground(fd: int) -> bool:
 
 @contextmanager
 def showing(state: LiveState, plain: bool, output: TextIO) -> Iterator[None]:
-    """Show the state on ``output`` until the end of the block; it receives typed lines if there is a foreground
-    terminal.
-    """
+    """Show the state on ``output`` until the end of the block; it gets typed lines from a foreground terminal."""
     live, stop = not plain and output.isatty(), threading.Event()
     with ExitStack() as stack:
         typed = stack.enter_context(typed_lines(state.typed.append, one_by_one=live)) if may_ask() else None

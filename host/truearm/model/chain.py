@@ -34,13 +34,13 @@ from truearm.types import Floats, Indices
 # ----------------------------------------------------------------------------------------------------- constant folding
 #
 # What is equal for all poses, computed once for each set of params: the links (runs of constants) and the matrix that
-# converts wrenches to derivatives by parameters (derived in chain.py). Twists and wrenches are ordered by axis here,
-# (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment. A joint about an axis rotates two such pairs into each other
-# and leaves the third unchanged.
+# converts wrenches to derivatives by parameters (derived in the header). Twists and wrenches are ordered by axis here,
+# (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment. A joint about an axis rotates two such pairs into each
+# other and leaves the third unchanged.
 
 
 class Columns(NamedTuple):
-    """The b columns of ``wrenches``: the six in the base frame, then those that each joint adds, then those of its law."""
+    """The b columns of ``wrenches``: six in the base frame, then those that each joint adds, then those of its law."""
 
     of_law: Floats  # (p, b) 1 where a column is the derivative by a parameter of a joint's law
     # of each joint: the wrench components that it changes, and their columns
@@ -67,7 +67,7 @@ class Folded(NamedTuple):
 
 @cache
 def direct_basis(p: int) -> Basis:
-    """Return that of 6 + 6 + p columns: the wrench in the base frame, that at the end, the derivatives by p parameters."""
+    """Return that of 6 + 6 + p columns: wrenches in the base frame and at the end, derivatives by p parameters."""
     return Basis(np.eye(12 + p, p, -12), np.eye(12 + p, 6, -6), direct=True)
 
 
@@ -102,7 +102,10 @@ def _carries(transforms: Floats) -> Floats:
 
 
 def _combined(constants: Constants, columns: Columns, twists_beyond: Floats, carries: Floats) -> tuple[Floats, Floats]:
-    """Return ``twists`` (b, p), each parameter's twist times the wrench in its frame by the b columns of ``wrenches``, and ``end``."""
+    """Return ``twists`` (b, p) and ``end``.
+
+    The former are each parameter's twist times the wrench in its frame, by the b columns of ``wrenches``.
+    """
     wrenches = np.zeros((len(carries), 6, columns.of_law.shape[1]), dtype=twists_beyond.dtype)
     wrenches[0, :, :6] = carries[0]
     for i, (new, unit) in enumerate(columns.changed):
@@ -123,7 +126,7 @@ def on_axis(motion: str) -> int:
 
 
 def new_numbers(motion: str) -> list[int]:
-    """Return the wrench components that a joint changes: all across its axis, or only the moments if it is prismatic."""
+    """Return the wrench components that a joint changes: all across its axis, or the moments if it is prismatic."""
     k = axis_of(motion)
     across = [i for axis in ((k + 1) % 3, (k + 2) % 3) for i in (2 * axis, 2 * axis + 1)]
     return across if motion[0] == "r" else across[1::2]
@@ -171,7 +174,7 @@ class Chain(Structure):
 
 
 class PointTrace(NamedTuple):
-    """A point of the end, or of other links, in the base frame, and the data that ``along`` needs to differentiate it."""
+    """A point of the end, or of other links, in the base frame, and what ``along`` needs to differentiate it."""
 
     chain: Chain
     folded: Folded
@@ -305,7 +308,7 @@ def link_frames(chain: Chain, params: Floats, q: Floats, link: Indices) -> Float
 
 
 def trace_link(chain: Chain, params: Floats, q: Floats, link: Indices, p_link_point: Floats) -> PointTrace:
-    """Trace points (3,) or (n, 3) that are on links (n,), in their ``link_frames``, like ``trace_point`` those of the end."""
+    """Trace points (3,) or (n, 3) on links (n,), in their ``link_frames``, as ``trace_point`` does for the end."""
     frames = link_frames(chain, params, q, link)
     p_base = np.einsum("nik,nk->ni", frames[:, :3, :3], np.broadcast_to(p_link_point, (len(q), 3))) + frames[:, :3, 3]
     return trace_point(chain, params, q, np.zeros(3))._replace(p_base=p_base, links=(link, frames[:, :3, :3]))

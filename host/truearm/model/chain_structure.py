@@ -2,9 +2,9 @@
 
 The terms of the joint law are built on this; ``model.chain`` adds the law and the kinematics.
 
-**Mimic joints** have no encoder and move with another joint, as in the parallelogram of a palletizer. The reading of one is
-``multiplier``·q + ``offset`` of the joint that it follows. Its true angle follows from this reading by its own law, so a
-robot with mimic joints is an ordinary serial chain.
+**Mimic joints** have no encoder and move with another joint, as in the parallelogram of a palletizer. The reading of
+one is ``multiplier``·q + ``offset`` of the joint that it follows. Its true angle follows from this reading by its own
+law, so a robot with mimic joints is an ordinary serial chain.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NO_MIMICS: Mapping[int, Mimic] = {}
 
 
 def units_of(n_readings: int, joint_units: Sequence[str], mimics: Collection[int]) -> Sequence[str]:
-    """Return the units of the readings of all joints, or of all that are not mimic joints if there are as many readings."""
+    """Return the units of the readings of all joints, or of all that are not mimic joints if there are so many."""
     if n_readings != len(joint_units) - len(mimics):
         return joint_units
     return [unit for joint, unit in enumerate(joint_units) if joint not in mimics]
@@ -204,7 +204,7 @@ class Structure:
 
     @cached_property
     def first_moved(self) -> Indices:
-        """Return the first link (p,) that each parameter moves: link k follows k joints, and the last one is the end."""
+        """Return the first link (p,) that each parameter moves: link k follows k joints, the last one is the end."""
         first = np.array([0 if p.joint is None else p.joint + 1 for p in self.parameters], dtype=np.intp)
         for joints, members in enumerate(self.constants.named):
             first[self.constants.parameter[members]] = min(joints + 1, len(self.joints))

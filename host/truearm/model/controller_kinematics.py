@@ -4,8 +4,8 @@
 
 Joints 2, 3 and 4 are nearly parallel, so d of their rows are up to hundreds of metres and cancel. Sources: the
 sub-package KinematicsInfo of the primary interface (all rows), the controller's ``calibration.conf`` (differences from
-the drawing), and the file that ``ur_calibration`` makes of the rows (``export.ur``). Layout of the sub-package: Universal
-Robots' client library, ``src/primary/robot_state/kinematics_info.cpp``.
+the drawing), and the file that ``ur_calibration`` makes of the rows (``export.ur``). Layout of the sub-package:
+Universal Robots' client library, ``src/primary/robot_state/kinematics_info.cpp``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ SIX = ("tx", "ty", "tz", "rz", "ry", "rx")
 
 
 class ControllerKinematics(NamedTuple):
-    """``links`` (7, 4, 4): before, between and after six joints about z. ``checksums``: of the joints, () if unknown."""
+    """``links`` (7, 4, 4): before, between and after six joints about z.
+
+    ``checksums``: of the joints, () if unknown.
+    """
 
     links: Floats
     checksums: tuple[int, ...] = ()

@@ -83,7 +83,10 @@ def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True, lev
 
 
 def singular_value(chain: Chain, params: Floats, q: Floats, oriented: bool = True, lever: float = LEVER) -> Floats:
-    """Return the smallest singular value (n,) of ``jacobian`` by the joints that move on their own; NaN if q (n, j) is."""
+    """Return the smallest singular value (n,) of ``jacobian`` by the joints that move on their own.
+
+    NaN if q (n, j) is.
+    """
     chunks = [slice(first, first + CHUNK) for first in range(0, max(len(q), 1), CHUNK)]
     jacs = (jacobian(chain, params, q[rows], oriented, lever)[..., chain.motors] for rows in chunks)
     smallest = np.concatenate([np.linalg.svd(jac, compute_uv=False)[:, -1] for jac in jacs])

@@ -46,7 +46,7 @@ def _term(item: type[Term]) -> type[Term]:
 
 @cache
 def terms() -> tuple[type[Term], ...]:
-    """Return offset, gain and the terms of TERM_FILES, then those of other packages (entry points "truearm.joint_terms")."""
+    """Return offset, gain and the terms of TERM_FILES, then those of packages (entry points "truearm.joint_terms")."""
     further = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
     bundled = {"offset": Offset, "gain": Gain, **further}
     return tuple(with_additions("joint_terms", bundled, _term).values())

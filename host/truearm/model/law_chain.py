@@ -31,7 +31,10 @@ def with_laws(chain: Chain, laws: Sequence[Law]) -> Chain:
 
 
 def robot_with_laws(robot: Robot, laws: Sequence[Law]) -> Robot:
-    """Return the robot with the parameters of these laws, neutral in all its sets and fixed: only evidence may fit them."""
+    """Return the robot with the parameters of these laws, neutral in all its sets.
+
+    They are fixed: only evidence may fit them.
+    """
     if not laws:
         return robot
     chain = with_laws(robot.chain, laws)

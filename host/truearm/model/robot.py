@@ -63,8 +63,9 @@ CLEARANCE, HEIGHT = 0.25, 0.08  # m
 class Branch:
     """One configuration branch as joint bounds (j,) [rad].
 
-    An arm reaches a pose in several configurations (elbow up or down, wrist flipped or not), separated by singularities. A
-    plan stays in one branch: the joints can then move straight from any pose to any other with the bar mounted.
+    An arm reaches a pose in several configurations (elbow up or down, wrist flipped or not), separated by
+    singularities. A plan stays in one branch: the joints can then move straight from any pose to any other with the bar
+    mounted.
 
     ``clearance`` [m] is the minimum distance of the end from the base's z axis, and ``height`` [m] that from the table,
     z = 0.
@@ -158,11 +159,11 @@ HEAD = (
 class Robot(Displayed):
     """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters that are fixed in the file.
 
-    ``source`` is the origin of the numbers, "" if unknown. ``branch`` is required for plans. Without ``capsules``, links
-    count as capsules of 50 mm radius there. Both are None if the file has none. ``file`` is the file that the robot was
-    read from (a URDF has the suffix .urdf or .xml), "" for a built-in robot. ``checksums`` of a Universal Robots
-    controller's joints identify the factory calibration that the nominal values are. ``identified`` (p,) are the parameters
-    of a calibration's robot, None of one that is only described.
+    ``source`` is the origin of the numbers, "" if unknown. ``branch`` is required for plans. Without ``capsules``,
+    links count as capsules of 50 mm radius there. Both are None if the file has none. ``file`` is the file that the
+    robot was read from (a URDF has the suffix .urdf or .xml), "" for a built-in robot. ``checksums`` of a Universal
+    Robots controller's joints identify the factory calibration that the nominal values are. ``identified`` (p,) are the
+    parameters of a calibration's robot, None of one that is only described.
 
     Examples
     --------
@@ -217,13 +218,16 @@ class Robot(Displayed):
 
     @property
     def drawing(self) -> Floats | None:
-        """Return the drawing's parameters (p,) of a robot whose nominal values are those of its controller, else None."""
+        """Return the drawing's parameters (p,) of a robot whose nominal values are its controller's, else None."""
         names = [name for name in self.parameter_sets if name != CONTROLLER]
         return self.parameter_sets[names[0]] if names and CONTROLLER in self.parameter_sets else None
 
     @property
     def is_urdf(self) -> bool:
-        """Return whether it was read from a URDF, which does not say which parameters are fixed: all but the gains are free."""
+        """Return whether it was read from a URDF.
+
+        This does not say which parameters are fixed: all but the gains are free.
+        """
         return self.file.lower().endswith((".urdf", ".xml"))
 
 
@@ -262,7 +266,10 @@ def _unit_vector(direction: tuple[float, float, float]) -> tuple[float, float, f
 
 
 def _set_names(description: Description, nominal: str) -> list[str]:
-    """Return the sets in which every parameter has a value. Raises SchemaError naming the first parameter without one."""
+    """Return the sets in which every parameter has a value.
+
+    Raises SchemaError naming the first parameter without one.
+    """
     sets = {name: amount.values.keys() for name, amount in description.amounts.items() if amount.constant is None}
     if not sets:
         raise SchemaError("no parameter can be identified; write parameters as tables, { design = 0.0 }")

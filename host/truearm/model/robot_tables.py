@@ -1,8 +1,8 @@
 """The tables of a robot file: conventions, joints, slots and numbers in SI.
 
-A convention is a sequence of slots: named elementary transforms in the order in which they are multiplied. Sheth–Uicker,
-Denavit–Hartenberg, modified Denavit–Hartenberg and transforms listed by hand differ only in this sequence.
-``chain_from_slots`` fills it with numbers and builds the chain.
+A convention is a sequence of slots: named elementary transforms in the order in which they are multiplied.
+Sheth–Uicker, Denavit–Hartenberg, modified Denavit–Hartenberg and transforms listed by hand differ only in this
+sequence. ``chain_from_slots`` fills it with numbers and builds the chain.
 
 A parameter is written as a table of named values, ``{ design = 0.35, held = true }``, and a constant that is never
 identified as a plain number. Units are part of the keys: ``_m _cm _mm`` for lengths, ``_rad _deg`` for angles, none for
@@ -66,11 +66,11 @@ def chain_from_slots(
 ) -> Chain:
     """Return the chain of the slots.
 
-    A slot with a number becomes a parameter, or a constant if it is listed as fixed. A joint's slot is its offset, followed
-    by the other terms of its law that have numbers.
+    A slot with a number becomes a parameter, or a constant if it is listed as fixed. A joint's slot is its offset,
+    followed by the other terms of its law that have numbers.
 
-    amounts : a finite number [SI] for every slot, by name, and for each further parameter of the joints' laws; a joint without
-        any has gain 1 and no further term.
+    amounts : a finite number [SI] for every slot, by name, and for each further parameter of the joints' laws; a joint
+        without any has gain 1 and no further term.
     fixed : names of slots that are constants rather than parameters.
 
     Raises RobotError for two parameters of one name.

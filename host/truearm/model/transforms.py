@@ -226,8 +226,8 @@ Six = tuple[float, float, float, float, float, float]
 def apart(goal: Floats, start: Floats) -> Floats:
     """Return the differences (n, 6) from poses ``start`` to ``goal`` (n, 4, 4).
 
-    These are position [m], then a rotation vector [rad], both in base axes: R_goal = exp(w)·R_start. Angles of successive
-    rotations must not be added; rotation vectors compose in this way.
+    These are position [m], then a rotation vector [rad], both in base axes: R_goal = exp(w)·R_start. Angles of
+    successive rotations must not be added; rotation vectors compose in this way.
     """
     turn = rotation_vector(goal[:, :3, :3] @ start[:, :3, :3].swapaxes(-1, -2))
     return np.concatenate([goal[:, :3, 3] - start[:, :3, 3], turn], axis=-1)

@@ -89,7 +89,10 @@ def capsules_from_urdf(text: str, chain: Chain) -> Capsules | None:
 
 
 def _capsule(place: str, node: Xml) -> tuple[Floats, float] | None:
-    """Return ends (2, 3) and radius [m] of a capsule around a box, cylinder or sphere, in the link's frame; None for a mesh."""
+    """Return ends (2, 3) and radius [m] of a capsule around a box, cylinder or sphere, in the link's frame.
+
+    None for a mesh.
+    """
     shape = next((child for tag in ("box", "cylinder", "sphere") for child in node.findall(f"geometry/{tag}")), None)
     if shape is None:
         return None
@@ -225,7 +228,7 @@ def _path(base: str, tip: str, by_child: Mapping[str, _UrdfJoint]) -> list[_Urdf
 
 
 def _fixed_above(link: str, by_child: Mapping[str, _UrdfJoint]) -> str:
-    """Return the link from which a link hangs by one fixed joint, such as base_link for a UR's base; otherwise itself."""
+    """Return the link from which a link hangs by one fixed joint, such as a UR's base_link; otherwise itself."""
     joint = by_child.get(link)
     return joint.parent if joint is not None and joint.kind == "fixed" else link
 
@@ -291,7 +294,10 @@ def _axis(joint: _UrdfJoint) -> tuple[float, float, float]:
 
 
 def _driven_joint(joint: _UrdfJoint) -> Joint:
-    """Return a joint that follows no other, with its limits; a continuous one, and a revolute one without <limit>, has none."""
+    """Return a joint that follows no other, with its limits.
+
+    A continuous one, and a revolute one without <limit>, has none.
+    """
     kind = "prismatic" if joint.kind == "prismatic" else "revolute"
     node = joint.xml.find("limit")
     if joint.kind == "continuous" or (node is None and kind == "revolute"):
@@ -308,7 +314,10 @@ def _driven_joint(joint: _UrdfJoint) -> Joint:
 
 
 def _mimic_joint(joint: _UrdfJoint, path: list[_UrdfJoint]) -> Joint:
-    """Return a joint that follows another of the path, directly or by way of other mimic joints; it has no limits of its own."""
+    """Return a joint that follows another of the path, directly or by way of other mimic joints.
+
+    It has no limits of its own.
+    """
     moving = [step for step in path if step.kind != "fixed"]
     place, followed, multiplier, offset = f"URDF joint {joint.name}: mimic", joint, 1.0, 0.0
     for _ in moving:

@@ -1,5 +1,4 @@
-"""A short plan to measure a robot's repeatability: a few poses, each approached many times from both sides of every
-joint.
+"""A short plan to measure repeatability: a few poses, each approached many times from both sides of every joint.
 
 At each pose the robot first stands still for a long time, to measure the noise of sensor and readings. Then it
 repeatedly moves a short way off and comes back. The sides of a round are the rows of a Hadamard matrix, so each joint

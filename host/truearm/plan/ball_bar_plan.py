@@ -27,10 +27,10 @@ from truearm.types import Displayed, Plan, Rig
 from truearm.units import UNITS
 
 TRIALS = 6  # numbers of poses tried to meet a time budget
-# Shares of a gain that count as equal, with each of which minutes are planned, for the least error: a mount is chosen by
-# its first pose, before it shows what its others are worth.
+# Shares of a gain that count as equal, with each of which minutes are planned, for the least error: a mount is chosen
+# by its first pose, before it shows what its others are worth.
 TIES = (TIE, 0.01, 0.1)
-# Shares of the work, for the progress: candidates found, and the ways between them; with a budget of minutes or of poses.
+# Shares of the work, for the progress: candidates found, and the ways between them; by a budget of minutes or poses.
 LOOKING, LOOKING_ONCE = (0.17, 0.24), (0.45, 0.6)
 # Poses per free parameter of the robot from which bars are considered uncertain. With two bars, 40 poses for 36
 # parameters would cost 11 %, 150 poses 5 %.
@@ -218,7 +218,7 @@ def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, visits: Visits
     for _ in range(TRIALS):
         short = n - len(best) - n_checks(site, best, visits)
         if short < 0:
-            # Another pose of the first mount is also a check pose, so the number may jump; the largest mount drops some.
+            # Another pose of the first mount is also a check pose, so the number may jump; the largest one drops some.
             _, mount, size = np.unique(pairing_names(best), axis=0, return_inverse=True, return_counts=True)
             spared = np.flatnonzero(mount.ravel() == np.argmax(size))[short:]
             best = best.select(np.setdiff1d(np.arange(len(best)), spared))

@@ -62,7 +62,7 @@ class Pace:
 
 
 def samples(start: Floats, end: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return joints (n, j) on straight moves between start and end (m, j), at most STEP apart, and the move (n,) of each.
+    """Return joints (n, j) on straight moves from start to end (m, j), at most STEP apart, and the move (n,) of each.
 
     Both ends of a move belong to it.
     """
@@ -135,7 +135,10 @@ class _Tree:
         self.nodes, self.parents = [root], [0]
 
     def extend(self, site: Site, goal: Floats) -> Floats | None:
-        """Add the farthest free posture on the way to ``goal`` from the nearest node, and return it; None if none is free."""
+        """Add the farthest free posture on the way to ``goal`` from the nearest node, and return it.
+
+        None if none is free.
+        """
         nearest = int(np.argmin(np.abs(np.array(self.nodes) - goal).max(axis=1)))
         start = self.nodes[nearest]
         ends = goal + SHORT * (start - goal)

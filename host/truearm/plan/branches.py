@@ -43,7 +43,10 @@ def check_joints(chain: Chain) -> None:
 
 
 def _check_kinds(chain: Chain) -> None:
-    """Raise PlanError for an arm with a prismatic or mimic joint: a branch has angles, and a move's pace is that of turning."""
+    """Raise PlanError for an arm with a prismatic or mimic joint.
+
+    A branch has angles, and a move's pace is that of turning.
+    """
     unplanned = [joint for joint in chain.joints if joint.kind != "revolute" or joint.mimic]
     for joint in unplanned[:1]:
         kind = "prismatic" if joint.kind != "revolute" else "a mimic joint"

@@ -53,8 +53,8 @@ def choose(
 
     rows (N, w, k): whitened rows, columns in units of the prior; information (k, k): of the prior and of existing
     measurements, in the same units. ``region`` (r, k): L of I-optimality, transposed. ``passes``: maximum number of
-    exchange passes. ``tie``: share of a gain; among candidates that differ by less, the one with the most information is
-    best, and the first of those.
+    exchange passes. ``tie``: share of a gain; among candidates that differ by less, the one with the most information
+    is best, and the first of those.
     """
     state = Gains(rows, information.copy(), Criterion(criterion), region, tie)
     chosen = list[int]()
@@ -91,9 +91,9 @@ def value(information: Floats, criterion: Criterion, region: Floats | None = Non
 class Gains:
     """What each candidate adds, kept up to date while candidates are added and removed.
 
-    ‖S^(−1/2) J P L‖² is tr(S⁻¹ Q) with Q = J P L Lᵀ P Jᵀ. If a block B is added, P changes by −K Kᵀ with K =
-    P Bᵀ S_B^(−1/2), so S and Q of all candidates follow from J K and J P L Lᵀ K: two products of the rows with w columns.
-    M is exact. All else is computed from it again after every REFRESH changes, before rounding adds up.
+    ‖S^(−1/2) J P L‖² is tr(S⁻¹ Q) with Q = J P L Lᵀ P Jᵀ. If a block B is added, P changes by −K Kᵀ with K = P Bᵀ
+    S_B^(−1/2), so S and Q of all candidates follow from J K and J P L Lᵀ K: two products of the rows with w columns. M
+    is exact. All else is computed from it again after every REFRESH changes, before rounding adds up.
     """
 
     rows: Floats  # J (N, w, k)
@@ -204,7 +204,7 @@ def _inverse(information: Floats) -> Floats:
 
 
 def condensed(jacobian: Floats, own_jacobian: Floats | None = None) -> Floats:
-    """Return rows (at most k, k) with the information of jacobian (m, k) after fitting the unknowns of ``own_jacobian`` (m, u)."""
+    """Return rows (at most k, k) with the information of jacobian (m, k) after fitting those of another (m, u)."""
     if own_jacobian is not None:
         basis, singular, _ = np.linalg.svd(own_jacobian, full_matrices=False)
         basis = basis[:, singular > 1e-10 * singular.max(initial=0.0)]

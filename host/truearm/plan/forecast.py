@@ -93,8 +93,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known before a plan: chain, rig, the current parameters of the model (p,), what is free, and measured
-    rows.
+    """What is known before a plan: chain, rig, the model's parameters (p,) now, what is free, and measured rows.
 
     ``rig_values``: estimates of the rig's unknowns by name, from an earlier result. ``prior``: the one that
     ``identify`` will use; parameters that it fixes by default are also fixed here. None: neither applies, only the rows
@@ -228,8 +227,7 @@ def all_rows(knowledge: Knowledge, planned: ObservationTable) -> ObservationTabl
 
 
 def _as_identified(knowledge: Knowledge, planned: ObservationTable) -> tuple[Knowledge, Floats, Defaults]:
-    """Return what is known with only those parameters free that ``identify`` will free, σ (p,) of its prior, and the
-    reasons.
+    """Return what is known with only those parameters free that ``identify`` will free, its prior (p,), and why.
 
     σ is inf for parameters without a prior.
     """
@@ -307,7 +305,10 @@ def curve_forecasts(knowledge: Knowledge, planned: ObservationTable) -> list[dic
 
 
 def _curve_forecast(curve: SampledCurve, unseen: float) -> dict[str, Any]:
-    """Return the forecast of a curve with its standard deviations; those above ``unseen`` [rad] carry no information."""
+    """Return the forecast of a curve with its standard deviations.
+
+    Those above ``unseen`` [rad] carry no information.
+    """
     readings, sigma = DEG.of(curve.readings), MRAD.of(curve.sigma)
     between = (curve.readings >= curve.intervals[0][0]) & (curve.readings <= curve.intervals[-1][1])
     sections = (

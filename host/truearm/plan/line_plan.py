@@ -115,8 +115,8 @@ def _directions(rng: np.random.Generator) -> Floats:
 def driven_lines(site: Site, middle: Floats, displacement: Floats, turn: Floats, n: int, point: Floats) -> Floats:
     """Return joints (m, n, j) along lines with middle postures ``middle`` (m, j); NaN where no joints were found.
 
-    From end to end, a ``point`` (3,) of the end moves by ``displacement`` (m, 3) [m], and the tool turns by the rotation
-    vectors ``turn`` (m, 3).
+    From end to end, a ``point`` (3,) of the end moves by ``displacement`` (m, 3) [m], and the tool turns by the
+    rotation vectors ``turn`` (m, 3).
     """
     chain, params, branch = site.arm.chain, site.arm.params, site.arm.branch
     at_middle = forward(chain, params, middle)
@@ -135,8 +135,9 @@ def driven_lines(site: Site, middle: Floats, displacement: Floats, turn: Floats,
 
 
 def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floats) -> Floats:
-    """Return joint rates (m, n, j) [rad/s] at joints q (m, n, j), for a point's velocity (m, 3) and the tool's turning
-    (m, 3).
+    """Return joint rates (m, n, j) [rad/s] at joints q (m, n, j).
+
+    They give a point's velocity (m, 3) and the tool's turning (m, 3).
 
     The velocity is in m/s and the turning in rad/s.
     """
@@ -177,7 +178,7 @@ def straightness(site: Site, q: Floats, along: Floats, point: Floats) -> float:
 
 
 def a_priori(site: Site, q: Floats, point: Floats) -> Floats:
-    """Return the expected RMS error [m] (c,) over the points of lines (c, n, j), by the tolerances of ``weak_prior``."""
+    """Return the expected RMS error [m] (c,) over the points of lines (c, n, j), with the tolerances ``weak_prior``."""
     chain = site.arm.chain
     error = tolerance_error(chain, weak_prior(chain), q.reshape(-1, q.shape[2]), point)
     return rms_of_columns(error.reshape(q.shape[:2]).T)
@@ -203,8 +204,9 @@ class LinePlan(NamedTuple):
 def plan_lines(
     site: Site, knowledge: Knowledge, options: LineOptions, pace: Pace, region: Region | None = None, target: str = ""
 ) -> LinePlan:
-    """Plan lines: candidates, choice, order and forecast. ``target``: the measured point of the rig, "" for the end's
-    origin.
+    """Plan lines: candidates, choice, order and forecast.
+
+    ``target``: the measured point of the rig, "" for the end's origin.
 
     Raises PlanError if too few lines fit into the workspace or the budget, and the errors of the steps.
     """

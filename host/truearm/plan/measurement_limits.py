@@ -37,8 +37,9 @@ N_POSES = 300
 
 @dataclass(frozen=True)
 class Sizes:
-    """Dimensions [m]: radii of the parts, how far a line device's rod extends beyond either end of its line, the
-    table's height z.
+    """Dimensions [m]: radii of the parts, the overhang of a line device, the table's height z.
+
+    The rod of a line device extends by the overhang beyond either end of its line.
 
     The radii are those of the links of an arm whose file has no capsules, of studs that hold spheres, of bars, of chuck
     posts and of a line device's rod. A table with an ``edge`` begins at this distance from the base's z axis.
@@ -164,7 +165,7 @@ def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, ra
 
 
 def tool_joint(shapes: Shapes) -> int:
-    """Return the first joint (from 1) that counts as tool: the last but one, as the last turns about the tool's axis."""
+    """Return the first joint (from 1) that counts as tool: the last but one, since the last turns about its axis."""
     return len(shapes.chain.joints) - 1
 
 
@@ -358,7 +359,9 @@ def around(points: Floats) -> Region:
 
 
 def poses_in(site: Site, region: Region, p_end_point: Floats, seed: int = 0) -> Floats:
-    """Return N_POSES random poses (n, j), or fewer if they are rare, of the arm's branch with a point (3,) of the end inside the region.
+    """Return N_POSES random poses (n, j) of the arm's branch, or fewer if they are rare.
+
+    In these, a point (3,) of the end is inside the region.
 
     Raises PlanError if none of 200,000 random poses is.
     """

@@ -93,7 +93,7 @@ def _check_visit(visit: dict[str, str], pose: int, place: str) -> None:
 
 
 def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
-    """Raise PlanError for the first row that names something unknown to the rig, or no target where there are several."""
+    """Raise PlanError for the first row that names something unknown to the rig, or no target though it has several."""
     lines = rig.lines or dict.fromkeys(plan.line[plan.lines].tolist())  # a rig that lists none accepts any
     for column, names in {**rig.mounted(), "line": lines}.items():
         for pose, identifier in enumerate(getattr(plan, column)):

@@ -41,7 +41,10 @@ class Stop(NamedTuple):
 
 
 class Signals(NamedTuple):
-    """Digital lines of the controller to and from the box: numbers (UR) or names (RAPID's ``doTruearm``, ``diTruearm``)."""
+    """Digital lines of the controller to and from the box.
+
+    They are numbers (UR) or names (RAPID's ``doTruearm``, ``diTruearm``).
+    """
 
     output: int = 0
     input: int | None = None
@@ -156,11 +159,11 @@ class Route(NamedTuple):
 
 
 def travelled(site: Site, plan: Plan, legs: Iterable[tuple[Iterable[Floats], bool]], pace: Pace) -> Route:
-    """Return the route to each pose of a plan by ``legs``: via points on the way to it, and whether a bar is mounted there.
+    """Return the route to each pose of a plan by ``legs``: via points on the way, and whether a bar is mounted there.
 
     The operator removes the bar before the move to a mount, and mounts it there. At the first stop no bar is mounted,
-    unless an earlier run was broken off: the operator makes sure. In a move, neither a joint nor the bar's sphere exceeds
-    the pace.
+    unless an earlier run was broken off: the operator makes sure. In a move, neither a joint nor the bar's sphere
+    exceeds the pace.
     """
     stops: list[Stop] = []
     spheres: list[Triple] = []
@@ -186,8 +189,7 @@ def timed(site: Site, stops: Sequence[Stop], p_end_point: Floats, pace: Pace) ->
 
 
 def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap], visits: Visits) -> Route:
-    """Return a route through all poses of a plan, in an order that this chooses, with check poses visited more than
-    once.
+    """Return a route through all poses of a plan in an order of its own, with check poses visited more than once.
 
     Where a straight path fails, the route may pass through candidates by the ``graphs`` of ``roadmaps``. Raises
     PlanError if no path to a pose is free.
@@ -255,8 +257,9 @@ def _with_checks(
 
 
 def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[np.bool_]:
-    """Return a mask (n, n) of moves between near poses that appear free, ignoring the bar's length, which via points
-    correct.
+    """Return a mask (n, n) of moves between near poses that appear free, but for the bar's length.
+
+    Via points correct that length.
 
     Each pose is checked against its NEAR nearest; other moves count as not free.
     """

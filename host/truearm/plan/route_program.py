@@ -40,7 +40,7 @@ def program(stops: Sequence[Stop], suffix: str, task: Task) -> str:
 
 
 def check_language(suffix: str, n_joints: int) -> None:
-    """Raise PlanError for a suffix that is not in LANGUAGES, or whose language is not for an arm with so many joints."""
+    """Raise PlanError for a suffix that is not in LANGUAGES, or whose language is not for arms of so many joints."""
     if suffix not in LANGUAGES:
         raise PlanError(f"programs cannot be written as {suffix or 'a file without suffix'!r}; use {languages_help()}")
     if suffix != TABLE and n_joints != N_AXES:

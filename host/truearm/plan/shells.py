@@ -2,9 +2,8 @@
 
 A shell is the set of positions of a sphere about a chuck with the ball-bar at mid-travel: ``‖T(q)·s − c‖ = zero``. The
 measuring points are the crossings of a grid of latitudes and longitudes (Goswami, Quaid, Peshkin 1993, fig. 2) that the
-arm reaches. At each point the tool faces the chuck, with a random tilt, and is rotated about that
-axis by a random angle over the full turn. With a constant tool orientation relative to the base, the measurements lose
-rank (28 of 36).
+arm reaches. At each point the tool faces the chuck, with a random tilt, and is rotated about that axis by a random
+angle over the full turn. With a constant tool orientation relative to the base, the measurements lose rank (28 of 36).
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ def tool_poses(
     rng: np.random.Generator,
     max_tilt: float,
 ) -> Floats:
-    """Return end poses (m, 4, 4) with spheres on the shells and the tool's z axis towards the chuck, tilted and turned."""
+    """Return end poses (m, 4, 4) with spheres on shells and the tool's z axis towards the chuck, tilted and turned."""
     m = len(directions)
     tilt, azimuth, turn = max_tilt * np.sqrt(rng.random(m)), *(2.0 * np.pi * rng.random((2, m)))
     lat, lon = np.arcsin(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
@@ -110,8 +109,7 @@ def tool_poses(
 
 
 def move_costs(arm: Arm, q: Floats, weights: Floats, bar: BallBar, chuck: Point, sphere: Point) -> Floats:
-    """Return the cost (m, m) of a move between any two poses: its duration squared, plus a penalty if it strains the
-    bar.
+    """Return the cost (m, m) of a move between any two poses: its duration squared plus a penalty if it strains a bar.
 
     Halfway between two poses of a shell the bar is shorter or longer than on it. The true robot deviates by up to 22 mm
     from the design model (with Table II's values), which leaves FREE_TRAVEL of half the travel, 37.5 mm, for the moves.

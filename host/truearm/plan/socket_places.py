@@ -1,4 +1,6 @@
-"""A block with two conical sockets for a ball, to be printed; its places, and joint readings with the ball in each socket.
+"""A block with two conical sockets for a ball, to be printed.
+
+Also its places, and joint readings with the ball in each socket.
 
 A cone of 45° touches the ball in a circle, so the centre of the ball is at one point whatever the arm's posture. It
 works for any arm with four joints or more, because a seat prescribes three coordinates of the ball and no orientation.
@@ -96,7 +98,7 @@ class SocketBlock:
 
 @dataclass(frozen=True)
 class Site:
-    """A place of the block: the middle of its bottom (3,) [m] and the direction (3,) from its first to its second socket.
+    """A place of the block: the middle of its bottom (3,) [m], and the direction (3,) from first to second socket.
 
     ``q`` are the joint readings (n, j) with the ball in each of them, in an order of short moves.
     """
@@ -117,14 +119,17 @@ class _Arm:
         return point_forward(self.shapes.chain, self.shapes.params, q, self.ball)
 
     def is_clear(self, q: Floats) -> NDArray[np.bool_]:
-        """Return which postures (n, j) have a steep stem of the ball, and touch neither the table nor the arm itself."""
+        """Return which postures (n, j) have a steep stem of the ball, and touch neither table nor arm."""
         stem = forward(self.shapes.chain, self.shapes.params, q)[:, :3, :3] @ (self.ball if self.ball.any() else UNIT_Z)
         steep = np.flatnonzero(stem[:, 2] < -np.cos(TILT) * np.linalg.norm(stem, axis=1))
         steep = steep[clear(self.shapes, q[steep], None)]
         return np.isin(np.arange(len(q)), steep)
 
     def seated(self, q: Floats, socket: Floats, count: int) -> Floats:
-        """Return ``count`` postures with the ball at ``socket`` (3,) that differ, sought from q (n, j); fewer if it has not."""
+        """Return ``count`` postures with the ball at ``socket`` (3,) that differ, sought from q (n, j).
+
+        They are fewer if the arm has not so many.
+        """
         lower, upper = self.limits
         for _ in range(N_STEPS):
             p, _, jacobian = point_jacobians(self.shapes.chain, self.shapes.params, q, self.ball)
@@ -142,11 +147,11 @@ class _Arm:
 def plans_of_sites(
     robot: Robot, ball: Triple, block: SocketBlock, table: float, n_sites: int, n_seats: int
 ) -> Iterator[list[Site]]:
-    """Yield plans of ``n_sites`` places with ``n_seats`` seats each, for a ball on the end and a table at this height [m].
+    """Yield plans of ``n_sites`` places with ``n_seats`` seats each, for a ball on the end and a table's height [m].
 
-    Each has places at two heights: the table or a box, and a higher box. Plans with low boxes come first. All places are
-    before the base, where its x axis points. Raises PlanError for an arm with fewer than four joints, or one that does
-    not reach as many places.
+    Each has places at two heights: the table or a box, and a higher box. Plans with low boxes come first. All places
+    are before the base, where its x axis points. Raises PlanError for an arm with fewer than four joints, or one that
+    does not reach as many places.
     """
     chain = robot.chain
     joints = len(chain.motors)

@@ -1,9 +1,9 @@
 """Store what a box and a robot send, exactly and in order, then evaluate it.
 
-Of the box, only what the recording itself needs is evaluated: the ident (for the streams' names, the boot id and faults),
-answers to commands, clock exchanges, and ``seq`` for counting losses. This takes about 9 µs per data frame, 5 of them for
-the file. A box that restarts shows a new boot id in its ident or heartbeat, or its frame count steps back. After the
-latter, ``suspect`` asks the recorder to have the box identify itself, and its boot id decides.
+Of the box, only what the recording itself needs is evaluated: the ident (for the streams' names, the boot id and
+faults), answers to commands, clock exchanges, and ``seq`` for counting losses. This takes about 9 µs per data frame, 5
+of them for the file. A box that restarts shows a new boot id in its ident or heartbeat, or its frame count steps back.
+After the latter, ``suspect`` asks the recorder to have the box identify itself, and its boot id decides.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ _LARGEST_UNNAMED_STREAM = 255
 class BoxStorage:
     """The box's side of a recording. ``requests`` takes the answers to commands.
 
-    Of a clock exchange, t0 is the host time before the request was handed over, t3 the arrival of the reply; the box's t1
-    and t2 lie between them (SPEC §4). A request without an answer within 2 s becomes a row with nulls.
+    Of a clock exchange, t0 is the host time before the request was handed over, t3 the arrival of the reply; the box's
+    t1 and t2 lie between them (SPEC §4). A request without an answer within 2 s becomes a row with nulls.
     """
 
     writer: SessionWriter
@@ -169,8 +169,9 @@ class BoxStorage:
             self.rtt_us = rtt_us if self.rtt_us is None else min(rtt_us, self.rtt_us)
 
     def _take_heartbeat(self, fields: Mapping[str, Any]) -> None:
-        """Count losses in the box. It counts since boot, so losses before this recording first heard of it are not
-        included.
+        """Count losses in the box.
+
+        It counts since boot, so losses before this recording first heard of it are not included.
         """
         boot_id, counts = fields["boot_id"], (fields["dropped"], fields["overruns"])
         self.idle = 0 if fields["streaming"] else self.idle + 1
@@ -185,8 +186,9 @@ class BoxStorage:
             self.counters.overruns_in_box += overruns
 
     def _take_ident(self, t_host_ns: int, recorded: Ident | None, ident: Ident) -> None:
-        """Compare an ident with the one before. Raises ProtocolError if a different box answers: its calibration and its
-        clock differ.
+        """Compare an ident with the one before.
+
+        Raises ProtocolError if a different box answers: its calibration and its clock differ.
         """
         if recorded is not None:
             uids = [str(document.get("uid", ""))[:32] for document in (ident.document, recorded.document)]
@@ -216,12 +218,12 @@ EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 class RobotIntake:
     """The robot's side of a recording: the lines of its stream, as received without their line feed.
 
-    A reading is a line that ``parse_line`` accepts, with as many joints as the first. A closed connection does not show the
-    reason: a restarted controller, a crashed program and a finished one all close it in the same way. The recorder
+    A reading is a line that ``parse_line`` accepts, with as many joints as the first. A closed connection does not show
+    the reason: a restarted controller, a crashed program and a finished one all close it in the same way. The recorder
     therefore waits for the robot as after any loss. A program that has finished announces this with the line ``END``.
 
-    ``lost``: why it is away, None while it is there. It has ``ended``, or it is away since ``lost_ns`` and may come back;
-    its first reading ends the loss, not its link. ``heard_ns``: time of the last reading.
+    ``lost``: why it is away, None while it is there. It has ``ended``, or it is away since ``lost_ns`` and may come
+    back; its first reading ends the loss, not its link. ``heard_ns``: time of the last reading.
     """
 
     def __init__(self, link: Link, clock: Clock, writer: SessionWriter, counters: Counters, operator: Operator) -> None:
@@ -267,8 +269,9 @@ class RobotIntake:
         return []
 
     def watch(self, now_ns: int) -> None:
-        """Note in the file when the robot sends nothing though its link is intact, and when it sends again; and that
-        somebody else sends to its port.
+        """Note in the file when the robot sends nothing though its link is intact, and when it sends again.
+
+        Also that somebody else sends to its port.
         """
         foreign = self.backlog.foreign
         if foreign and not self._counters.robot_foreign:
@@ -313,7 +316,7 @@ class RobotIntake:
         self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(error))
 
     def _back(self, t_host_ns: int, reading: JointLine) -> None:
-        """Note the first reading after a loss: its duration, and the number of lost readings if the robot counts them."""
+        """Note the first reading after a loss: how long it was, and how many were lost if the robot counts them."""
         self.lost = None
         away_s = None if self.heard_ns is None else round((t_host_ns - self.heard_ns) / 1e9, 3)
         self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=_missing(self._last, reading))

@@ -1,4 +1,4 @@
-"""Links to a box or a robot: bytes with the host's arrival time, the clock that stamps them, and ports that may be boxes.
+"""Links to a box or a robot: bytes with the host's arrival time, the clock of these stamps, and possible ports.
 
 The recorder only knows ``Link`` and ``Clock``. It uses no other clock and waits only in ``Link.read``, so the simulator
 can supply virtual time. A real link reads in a thread of its own: bytes are stamped on arrival, not when the recorder
@@ -60,8 +60,9 @@ class Link(Protocol):
     name: str
 
     def read(self, timeout_s: float) -> Arrivals:
-        """Return ``(t_host_ns, bytes)`` for each piece that arrived, waiting up to ``timeout_s`` for the first; [] if
-        none.
+        """Return ``(t_host_ns, bytes)`` for each piece that arrived, waiting up to ``timeout_s`` for the first.
+
+        [] if none.
 
         Raises LinkClosed if the other side closed the stream, after everything before it has been returned.
         """
@@ -139,7 +140,10 @@ class HostClock:
 
 
 class StreamLink:
-    """A stream that a thread reads: it stamps what ``_receive`` of the subclass returns, b"" after a while without data."""
+    """A stream that a thread reads and stamps.
+
+    It stamps what ``_receive`` of the subclass returns, which is b"" after a while without data.
+    """
 
     def __init__(self, name: str, clock: Clock, stream: Any, lost: str) -> None:
         """``stream`` is closed with the link; ``lost``: what an error says, with {} for its cause."""
@@ -316,7 +320,9 @@ class Datagram(bytes):
 
 
 class UdpLink(StreamLink):
-    """Receives datagrams sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them), as ``Datagram``.
+    """Receives datagrams sent to ``udp://host:port`` as ``Datagram``.
+
+    The host is an address of this machine (0.0.0.0: all of them).
 
     Each is returned with a line feed at its end. A robot that has gone is just silent; UDP does not report it.
     """
@@ -352,7 +358,10 @@ class UdpLink(StreamLink):
 def parse_address(
     url: str, scheme: str, port: int | None = None, with_options: bool = False
 ) -> tuple[str, int, dict[str, str]]:
-    """Return host, port (``port`` where none is given) and options of ``scheme://host:port?name=value``. Raises InputError."""
+    """Return host, port (``port`` where none is given) and options of ``scheme://host:port?name=value``.
+
+    Raises InputError.
+    """
     try:
         address = urlsplit(url)
         host, number = address.hostname, address.port or port
@@ -378,7 +387,10 @@ class Runs:
         self._overlong = False  # part of the run in ``_remainder`` has been returned already
 
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
-        """Return ``(whole, bytes)`` for every run finished by ``data``; pieces of a run beyond the limit are not whole."""
+        """Return ``(whole, bytes)`` for every run finished by ``data``.
+
+        Pieces of a run beyond the limit are not whole.
+        """
         *runs, self._remainder = (self._remainder + data).split(self._delimiter)
         items: list[tuple[bool, bytes]] = []
         for run in runs:
@@ -409,8 +421,8 @@ PAUSE_S = 0.25  # between attempts; a newly connected box takes about one second
 class Reopening:
     """Opens a link with ``open_link`` now, and again with ``reopen`` after it was lost.
 
-    It tries in a thread, because an unreachable address can block the caller for seconds. Raises what ``open_link`` raises
-    now.
+    It tries in a thread, because an unreachable address can block the caller for seconds. Raises what ``open_link``
+    raises now.
     """
 
     def __init__(self, open_link: Callable[[], Link]) -> None:
@@ -528,8 +540,9 @@ class BoxPort:
         self._identity = next((_identity(port) for port in usb_ports() if port.device == device), None)
 
     def __call__(self) -> SerialLink:
-        """Open the port. Raises LinkError and InputError as ``SerialLink`` does, and LinkError if no port has the
-        identity.
+        """Open the port.
+
+        Raises LinkError and InputError as ``SerialLink`` does, and LinkError if no port has the identity.
         """
         if self._identity is not None:
             names = [port.device for port in usb_ports() if _identity(port) == self._identity]

@@ -1,5 +1,6 @@
-"""The state of a recording, and the interface between it and its operator. The default operator does nothing, for recordings made
-by a program.
+"""The state of a recording, and the interface between it and its operator.
+
+The default operator does nothing, for recordings made by a program.
 """
 
 from __future__ import annotations
@@ -102,5 +103,5 @@ class Operator:
         """Called four times a second."""
 
     def wishes(self) -> list[OperatorEvent]:
-        """Return the operator's requests since the last call; called at least every 50 ms, and when the recording ends."""
+        """Return the operator's requests since the last call; called every 50 ms at least, and at the end."""
         return []

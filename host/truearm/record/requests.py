@@ -1,9 +1,10 @@
-"""A box behind a link: split the bytes that it sends into frames (SPEC §1), and send it requests until they are answered.
+"""A box behind a link: split its bytes into frames (SPEC §1), and send it requests until they are answered.
 
-Nothing that arrives is lost. The stream is split at the delimiters. A run between two delimiters is a frame if it decodes
-as COBS, its CRC matches and it is an array that begins with a type and a frame count, as a reader of sessions demands
-(``session/frames.py``). Any other run is console text, such as a traceback or a damaged frame. A frame of a type that only
-the host sends is also treated as console text: a prompt or a terminal echoes its input. Empty runs are dropped.
+Nothing that arrives is lost. The stream is split at the delimiters. A run between two delimiters is a frame if it
+decodes as COBS, its CRC matches and it is an array that begins with a type and a frame count, as a reader of sessions
+demands (``session/frames.py``). Any other run is console text, such as a traceback or a damaged frame. A frame of a
+type that only the host sends is also treated as console text: a prompt or a terminal echoes its input. Empty runs are
+dropped.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _SEQ_END, _SEQ_HALF = 2**32, 2**31
 class FrameCount:
     """Counts the frames that a link lost, and those behind the count, by the frames' own count (SPEC §4).
 
-    A frame ahead of the count shows a loss, unless the next frame does not follow it: then its count was wrong (SPEC §1).
+    A frame ahead of the count shows a loss, unless the next frame does not follow it: then its count was wrong (SPEC
+    §1).
     """
 
     def __init__(self) -> None:
@@ -73,7 +75,10 @@ class FrameSplitter:
 
 
 def frame_of(run: bytes) -> tuple[list[Any] | None, bytes]:
-    """Return the elements and the payload of the bytes between two delimiters; None and the bytes if they are no frame."""
+    """Return the elements and the payload of the bytes between two delimiters.
+
+    None and the bytes if they are no frame.
+    """
     if _ENCODED_MIN <= len(run) <= _ENCODED_MAX:
         try:
             raw: bytes = cobs.decode(run)
@@ -108,12 +113,12 @@ class Requests:
     """Makes requests, each with its own id, and takes the answers.
 
     The box may still remember a command of an earlier session by its id (SPEC §6), so ids are drawn at random. For two
-    seconds after power-on, a Pico treats byte 3 as Ctrl-C, which leads to MicroPython's prompt, where the box would stay:
-    ids that would give such a byte anywhere in the frame are drawn again. A request is repeated with the same id until it
-    is answered; the box treats repetitions as one request.
+    seconds after power-on, a Pico treats byte 3 as Ctrl-C, which leads to MicroPython's prompt, where the box would
+    stay: ids that would give such a byte anywhere in the frame are drawn again. A request is repeated with the same id
+    until it is answered; the box treats repetitions as one request.
 
-    ``pump`` reads the link for a time [s] and passes what arrives to ``take``. ``ident`` is the box's latest description
-    of itself.
+    ``pump`` reads the link for a time [s] and passes what arrives to ``take``. ``ident`` is the box's latest
+    description of itself.
     """
 
     def __init__(self, link: Link, clock: Clock, pump: Callable[[float], None]) -> None:

@@ -1,4 +1,6 @@
-"""Write a new session from another one, which is only read: without its damage, or with joint readings recorded elsewhere.
+"""Write a new session from another one: without its damage, or with joint readings recorded elsewhere.
+
+The other one is only read.
 
 A recovered session has everything intact of a damaged or unfinished one. Messages keep their time, their bytes and
 their number within their topic. Missing ones therefore show in the new file too, as a jump of these numbers and of the
@@ -130,7 +132,10 @@ MAX_RATE = 1e-3  # if host clock and UTC differ by more, the clock was set in be
 
 
 def host_time(session: Session) -> Callable[[int], int]:
-    """Return the function from UTC to host times [ns] of a session, linear between its two anchors. Raises SessionError."""
+    """Return the function from UTC to host times [ns] of a session, linear between its two anchors.
+
+    Raises SessionError.
+    """
     anchors = [anchor for name in ANCHORS if (anchor := read_anchor(session.metadata.get(name, {}))) is not None]
     if not anchors:
         raise SessionError(f"{session.path}: does not say when it was recorded; is this a session of truearm record?")
@@ -155,9 +160,10 @@ def add_readings(
 ) -> int:
     """Write ``out`` with everything in ``session`` and the readings; return the number of readings.
 
-    Their arrival was not observed: host times, which become those of the messages, are computed from the controller's time
-    alone, an error of which is common to all readings. Dwells are insensitive to it up to their settling time; motion is
-    not. Readers recognise these readings by ``"arrival": false`` in each line and by the metadata ``joints-added``.
+    Their arrival was not observed: host times, which become those of the messages, are computed from the controller's
+    time alone, an error of which is common to all readings. Dwells are insensitive to it up to their settling time;
+    motion is not. Readers recognise these readings by ``"arrival": false`` in each line and by the metadata
+    ``joints-added``.
 
     ``zero_s``: when, after the session's begin, the controller's time was zero; None: it is UTC. ``note`` becomes
     metadata. With ``replace`` the session's own readings are left out; without it there must be none.

@@ -104,7 +104,10 @@ def encodings_of(topic: str, first: bytes) -> Encodings:
 
 
 def _grammar() -> str:
-    """Return the CDDL (RFC 8610) of a box's frames; protocol/SPEC.md §4 explains them. ``/box/other`` has others too."""
+    """Return the CDDL (RFC 8610) of a box's frames; protocol/SPEC.md §4 explains them.
+
+    ``/box/other`` has others too.
+    """
     frames = (
         f"[{', '.join([str(kind), *(f'{name}: any' for name in wire.names(kind)), '* any'])}]" for kind in _FRAMES
     )
@@ -119,8 +122,8 @@ COPIED_BYTES = 1 << 20  # per step
 def file_loss(file: BinaryIO, path: Path, size: int) -> str:
     """Return what happened to ``file``, opened at ``path`` with ``size`` bytes written; "" if nothing.
 
-    It is "truncated", "renamed", "deleted" or "replaced". A POSIX system keeps a deleted file for as long as it is open, so
-    all of it can still be copied. Data lost by a truncation cannot be recovered.
+    It is "truncated", "renamed", "deleted" or "replaced". A POSIX system keeps a deleted file for as long as it is
+    open, so all of it can still be copied. Data lost by a truncation cannot be recovered.
     """
     status = os.fstat(file.fileno())
     if status.st_size < size:
@@ -132,12 +135,13 @@ def file_loss(file: BinaryIO, path: Path, size: int) -> str:
 
 
 def rescued_file(file: BinaryIO, size: int, path: Path) -> tuple[Path, BinaryIO]:
-    """Copy the first ``size`` bytes of an open file, whether or not it still has a name, to a new one named after ``path``:
-    ``session-rescued.mcap``, ``session-rescued-2.mcap`` …
+    """Copy the first ``size`` bytes of an open file to a new one named after ``path``.
 
-    It is in the folder of ``path``, which is created again if it was removed. If that is impossible or its disk is full,
-    it is in the system's folder for temporary files. Raises OSError if it cannot be written there either. A copy that is
-    not complete is removed.
+    The open file need not have a name any more. The new one is ``session-rescued.mcap``, ``session-rescued-2.mcap`` …
+
+    It is in the folder of ``path``, which is created again if it was removed. If that is impossible or its disk is
+    full, it is in the system's folder for temporary files. Raises OSError if it cannot be written there either. A copy
+    that is not complete is removed.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -176,7 +180,10 @@ def _pieces(file: BinaryIO, size: int) -> Iterator[bytes]:
 
 
 def content_crc(file: BinaryIO, size: int) -> int:
-    """Return the CRC-32 of the first ``size`` bytes of an open file. Takes about 1 s per GB. Raises OSError if it is shorter."""
+    """Return the CRC-32 of the first ``size`` bytes of an open file.
+
+    Takes about 1 s per GB. Raises OSError if it is shorter.
+    """
     return reduce(lambda crc, data: zlib.crc32(data, crc), _pieces(file, size), 0)
 
 
@@ -206,8 +213,8 @@ class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
     With ``hold`` there is no file if the writer is closed before ``keep``; in place of an earlier recording, nothing is
-    written before it. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata``
-    and ``close``.
+    written before it. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own
+    except those in ``metadata`` and ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
     clock is used.
@@ -362,8 +369,7 @@ class SessionWriter:
                 pass
 
     def close(self, end: Mapping[str, str] | None = None) -> None:
-        """Write the metadata ``session-end`` (the clock's anchor and ``end``, if present) and the index, and flush to
-        the disk.
+        """Write the metadata ``session-end`` (the clock's anchor and ``end``, if present) and the index, and flush all.
 
         A second call does nothing.
         """

@@ -1,5 +1,4 @@
-"""The HTML report of a correction: the shifts, the expected remaining error, and what to check before running the
-program.
+"""The HTML report of a correction: the shifts, the expected error, and what to check before the program runs.
 
 It shows the document of the correction (docs/reference/target-format.md), and the targets in a 3-D view.
 """

@@ -205,7 +205,7 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
 def _draw_residuals(
     plot: svg.Plot, rows: ResidualRows, x: Floats, shown: Mask, tip: str, groups: Iterable[Indices]
 ) -> None:
-    """Draw the ``shown`` (n,) residuals at x (n,), and the mean of each group of enough rows with two standard errors."""
+    """Draw the ``shown`` (n,) residuals at x (n,), and the mean of each group of enough rows with 2 standard errors."""
     y = rows.residual
     for css, name, chosen in _sets(rows):
         drawn_rows = _drawn(y, shown & chosen)

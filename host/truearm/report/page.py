@@ -53,9 +53,9 @@ SIGNATURE = "".join(f"<p>{field}</p>" for field in ("place, date", "name", "sign
 class Points:
     """A set of n points to draw, each with the joints at which the arm reaches it.
 
-    ``xyz`` (n, 3) [m] is in the base frame and ``q`` (n, j) [rad, m]. ``values`` (n,) [m] colour the points and ``vectors`` (n, 3)
-    [m] start at them, by name; NaN where there is none. ``fixture`` (n,) is the index of the fixture that a bar connects
-    the point to, -1 for none.
+    ``xyz`` (n, 3) [m] is in the base frame and ``q`` (n, j) [rad, m]. ``values`` (n,) [m] colour the points and
+    ``vectors`` (n, 3) [m] start at them, by name; NaN where there is none. ``fixture`` (n,) is the index of the fixture
+    that a bar connects the point to, -1 for none.
     """
 
     name: str
@@ -77,8 +77,8 @@ class Scene:
     """The data of a view, in the base frame.
 
     ``joints`` (j, 7): 1 for a revolute joint, a point on its axis [m] and the axis's direction, with all joints at 0.
-    ``links`` and ``tools`` (m, 8) are capsules there: the joint that each moves with (0: none), both ends and the radius [m].
-    ``fixtures`` are names and positions [m].
+    ``links`` and ``tools`` (m, 8) are capsules there: the joint that each moves with (0: none), both ends and the
+    radius [m]. ``fixtures`` are names and positions [m].
     """
 
     title: str
@@ -174,9 +174,9 @@ def html_page(
 ) -> str:
     """Return a complete page as HTML text, to be written as UTF-8.
 
-    ``program`` is shown above its title. The ``certificate`` is page one; the verdict of the findings follows, with ``figures`` in
-    large type and what to look at, then the 3-D view, notes, and the other blocks. If the findings tell that data are
-    simulated, a watermark does on each page.
+    ``program`` is shown above its title. The ``certificate`` is page one; the verdict of the findings follows, with
+    ``figures`` in large type and what to look at, then the 3-D view, notes, and the other blocks. If the findings tell
+    that data are simulated, a watermark does on each page.
     """
     run = script(scene)
     digest = base64.b64encode(hashlib.sha256(run.encode()).digest()).decode()
@@ -254,7 +254,10 @@ def making(command: str, facts: Sequence[tuple[str, str]] = ()) -> str:
 
 
 def table(content: Table, css: str = "plain") -> str:
-    """Return a table that scrolls on a phone; its first column names the row, and ``content.marks`` are classes of rows."""
+    """Return a table that scrolls on a phone.
+
+    Its first column names the row, and ``content.marks`` are classes of rows.
+    """
     head = "".join(f'<th scope="col">{escape(title.strip())}</th>' for title in content.titles)
     rows = []
     for k, (first, *cells) in enumerate(content.rows):
@@ -295,8 +298,7 @@ def fact_list(facts: Sequence[tuple[str, str]]) -> str:
 
 
 def escape(text: str, limit: int = 200) -> str:
-    """Return ``text`` for HTML content and attributes: markup escaped, unprintable characters replaced, cut at
-    ``limit``.
+    """Return ``text`` for HTML: markup escaped, unprintable characters replaced, cut at ``limit``.
 
     The replaced characters are control characters, marks that reverse the writing direction, and lone surrogates (from
     file names), which UTF-8 cannot hold.
@@ -334,7 +336,7 @@ def size(value: float, si: str, unit: str | None = None) -> str:
 
 
 class Recording(NamedTuple):
-    """How a session was recorded: its file, when in UTC, "" if unknown, and the facts about it and about the sensors of its box.
+    """How a session was recorded: its file, when in UTC ("" if unknown), and facts about it and the box's sensors.
 
     ``temperatures``: name, lowest and highest reading [°C] of each thermometer.
     """

@@ -144,8 +144,8 @@ def _unusable(because: Unusable, document: Document) -> Finding:
 def wrong_first(document: Document) -> bool:
     """Return whether inputs are to be corrected before more is measured.
 
-    A fit that did not converge is one of these if other interpretations were tried: with right inputs it may only need more
-    iterations.
+    A fit that did not converge is one of these if other interpretations were tried: with right inputs it may only need
+    more iterations.
     """
     because = document["unusable_because"]
     wrong = (Unusable.WRONG_INPUTS, Unusable.RESIDUALS, Unusable.SCALE)
@@ -529,7 +529,8 @@ def _residuals(document: Document) -> Iterator[Finding]:
 def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
     """Return how much of the residuals the declared noise explains.
 
-    ``by_chance``: χ² is not above its band, so noise alone can leave the rest, or outliers that a robust loss weights down.
+    ``by_chance``: χ² is not above its band, so noise alone can leave the rest, or outliers that a robust loss weights
+    down.
     """
     units, loss = document["residual_units"], _loss(document)
     declared, unexplained = (sizes(document, name, units) for name in ("rms_declared", "rms_unexplained"))
@@ -569,7 +570,7 @@ def outliers(document: Document) -> Iterator[Finding]:
 
 
 def audit(controller: Document, drawing: Document, identified: Document) -> Iterator[Finding]:
-    """Return the errors, by unit, of the controller's model, the drawing and the identified robot on rows not fitted."""
+    """Return the errors, by unit, of the controller's model, drawing and identified robot on rows not fitted."""
     if drawing:
         yield Finding("audit", {"controller": controller, "drawing": drawing, "identified": identified})
 

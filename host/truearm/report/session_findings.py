@@ -1,4 +1,4 @@
-"""The findings of a session, from the content of ``truearm inspect --json``: whether it is usable, and what went wrong."""
+"""The findings of a session, from ``truearm inspect --json``: whether it is usable, and what went wrong."""
 
 from __future__ import annotations
 

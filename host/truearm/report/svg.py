@@ -55,7 +55,7 @@ class Axis:
 
 
 def linear_axis(label: str, low: float, high: float, step: float = 0.0, intervals: float = 6.0) -> Axis:
-    """Return an axis over [low, high], widened to at most about ``intervals`` + 1 round ticks, or to ticks every ``step``."""
+    """Return an axis over [low, high], widened to about ``intervals`` + 1 round ticks at most, or to every ``step``."""
     if not high > low:
         low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
     step = step or round_step((high - low) / intervals)
@@ -233,8 +233,8 @@ def map_picture(
 ) -> str:
     """Return the SVG of errors, pale outside the fitted readings; ``task_mm`` is a rectangle u0, u1, v0, v1.
 
-    ``styled``: a file of its own, otherwise a part of a page. Of more than MOST_SQUARES cells, every second or third … of
-    both directions is drawn.
+    ``styled``: a file of its own, otherwise a part of a page. Of more than MOST_SQUARES cells, every second or third …
+    of both directions is drawn.
     """
     errors = float(np.nanmin(cells.error)), float(np.nanmax(cells.error))
     step = math.ceil(math.sqrt(np.count_nonzero(~np.isnan(cells.error)) / MOST_SQUARES))

@@ -9,10 +9,12 @@ from truearm.units import SUFFIXES, UNITS, title
 
 
 class Table(NamedTuple):
-    """Rows of cells below titles. The first column names the row; the others are numbers, or text if the title ends in a space.
+    """Rows of cells below titles.
 
-    ``label`` names it for screen readers, ``marks`` are style classes of its rows. ``total``: of all rows, if these are only
-    the first.
+    The first column names the row; the others are numbers, or text if the title ends in a space.
+
+    ``label`` names it for screen readers, ``marks`` are style classes of its rows. ``total``: of all rows, if these are
+    only the first.
     """
 
     titles: Sequence[str]

@@ -36,7 +36,7 @@ def validation_findings(document: Document, about: Sequence[Finding] = ()) -> li
 
 
 def _verdict(document: Document) -> Finding:
-    """Return whether the errors are consistent with the expected ones, smaller than without the calibration, or neither.
+    """Return whether the errors are as expected, or smaller than without the calibration, or neither.
 
     Rows that were fitted cannot tell.
     """

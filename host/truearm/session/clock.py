@@ -1,13 +1,13 @@
 """Convert the times of the box and of the robot controller to host time.
 
 **The box** answers requests for its time: the host writes at t0, the device receives at t1 and answers at t2, and the
-answer arrives at t3. Each exchange is a row of ``truearm.clocks``: h(t1) ≥ t0 and h(t2) ≤ t3. The bound includes half of
-the shortest round trip, which no exchange can divide between the two directions.
+answer arrives at t3. Each exchange is a row of ``truearm.clocks``: h(t1) ≥ t0 and h(t2) ≤ t3. The bound includes half
+of the shortest round trip, which no exchange can divide between the two directions.
 
 **The robot** sends readings in one direction. The fastest reading of each second is a row with a latest time alone. The
 estimate is late by the shortest latency, which the parameter τ of the identification absorbs, or a trigger wire shows
-(``trigger_edges``). The bound covers the rest: how far the estimate may be from the shortest latency. It is no hard bound
-(docs/explanation/clocks.md#robot-and-host). Where controller time runs backward, another segment begins.
+(``trigger_edges``). The bound covers the rest: how far the estimate may be from the shortest latency. It is no hard
+bound (docs/explanation/clocks.md#robot-and-host). Where controller time runs backward, another segment begins.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class DeviceClock:
 
 
 def host_times(clocks: Mapping[int, DeviceClock], segment: Ints, t_us: Ints) -> tuple[Ints, Floats]:
-    """Return the host times (n, …) [ns] of device times (n, …) [µs] in segments (n,) of the box, and the bounds of their errors.
+    """Return the host times (n, …) [ns], and their error bounds, of the box's times (n, …) [µs] in segments (n,).
 
     Without a clock of the segment they are UNKNOWN and NaN.
     """
@@ -90,7 +90,10 @@ def host_times(clocks: Mapping[int, DeviceClock], segment: Ints, t_us: Ints) -> 
 
 
 def box_temperature(readings: Sequence[tuple[int, int, int]], clocks: Mapping[int, DeviceClock]) -> BoxTemperature:
-    """Return readings by host time, given as segment, device time [µs] and m°C. Those of segments without a clock are left out."""
+    """Return readings by host time, given as segment, device time [µs] and m°C.
+
+    Those of segments without a clock are left out.
+    """
     segment, t_us, mdegc = np.array(readings, np.int64).reshape(-1, 3).T
     t_host_ns, bound = host_times(clocks, segment, t_us)
     sound = np.flatnonzero(np.isfinite(bound) & (mdegc >= COLDEST) & (mdegc <= WARMEST))
@@ -124,7 +127,7 @@ class ClockReport:
 
 
 def recorded_wander(session: Session) -> float:
-    """Return how far the rate of the host's clock may wander: more if the system can slew the clock of the recording."""
+    """Return how far the rate of the host's clock may wander: more if the system can slew the recording's clock."""
     kind = session.metadata.get("session", {}).get("clock")
     return WANDER if kind in ("monotonic-raw", "virtual") else SLEWED_WANDER
 
@@ -209,9 +212,9 @@ class RobotClock:
 class EdgeReport:
     """Results from the edges of the box's trigger output for one segment of controller time.
 
-    ``shortest_latency_ns`` is the delay of the arrivals' clock relative to the edges' clock in the middle of the segment,
-    which arrivals alone cannot show. Its error is at most the sum of ``bound_ns`` and the bound of the arrivals' clock.
-    If the input's shorter delay exceeds the range of ``trigger_edges``, the excess is included.
+    ``shortest_latency_ns`` is the delay of the arrivals' clock relative to the edges' clock in the middle of the
+    segment, which arrivals alone cannot show. Its error is at most the sum of ``bound_ns`` and the bound of the
+    arrivals' clock. If the input's shorter delay exceeds the range of ``trigger_edges``, the excess is included.
     """
 
     input: int | None  # of the controller, following the output; None: no input does
@@ -233,8 +236,9 @@ class EdgeReport:
 
 @dataclass(frozen=True)
 class RobotClockReport:
-    """How well a segment of controller time is tied to host time. A constant latency cannot be known and is not
-    included.
+    """How well a segment of controller time is tied to host time.
+
+    A constant latency cannot be known and is not included.
     """
 
     segment: int
@@ -248,7 +252,9 @@ class RobotClockReport:
 
 @dataclass
 class Arrivals:
-    """Collects (controller time, arrival) of one segment from its first reading; keeps the fastest of each second, and sums.
+    """Collects (controller time, arrival) of one segment from its first reading.
+
+    Keeps the fastest of each second, and sums.
 
     Clocks with rates 45 ppm apart drift by 45 µs in a second, which would make its first readings seem the fastest.
     Cells are kept so that the drift is removed first: 10 MB in six hours. The last one may get more readings.
@@ -271,8 +277,10 @@ class Arrivals:
         self.last_s = float(t_robot_s[-1])
 
     def seconds(self) -> Floats:
-        """Return rows (6, k) by second: its number; dt [s] and latency [ns] of the fastest reading; number of readings,
-        sums of dt and latency.
+        """Return rows (6, k) by second.
+
+        These are its number; dt [s] and latency [ns] of the fastest reading; number of readings, sums of dt and
+        latency.
         """
         cells = np.concatenate([*self._cells, self._last_cell], axis=1)
         self._cells.clear()

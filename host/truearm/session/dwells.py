@@ -37,8 +37,8 @@ LEAST_LAGS = 8  # alternating noise (of a high-passed converter) has a small τ 
 class MeanOfSamples(NamedTuple):
     """Statistics of a mean.
 
-    ``value_var``: variance of the mean; ``noise``: standard deviation of one sample; ``n_eff``: number of independent samples;
-    ``drift``: end-to-end change of the least-squares line; ``drift_sigma``: its standard deviation.
+    ``value_var``: variance of the mean; ``noise``: standard deviation of one sample; ``n_eff``: number of independent
+    samples; ``drift``: end-to-end change of the least-squares line; ``drift_sigma``: its standard deviation.
     """
 
     value: float
@@ -62,7 +62,7 @@ def mean_of(samples: Floats) -> MeanOfSamples:
 
 
 def _line(samples: Floats) -> tuple[float, float, Floats]:
-    """Return the mean of samples (n,), the end-to-end change of their least-squares line, and the residuals (n,) of it."""
+    """Return the mean of samples (n,), the end-to-end change of their least-squares line, and its residuals (n,)."""
     mean, place = float(np.mean(samples)), np.linspace(-0.5, 0.5, samples.size)
     drift = float(place @ (samples - mean) / (place @ place))
     return mean, drift, samples - mean - drift * place
@@ -71,9 +71,9 @@ def _line(samples: Floats) -> tuple[float, float, Floats]:
 def mean_variance(deviation: Floats, fitted: int = 1) -> tuple[float, float]:
     """Return the variance of the mean of n samples and the standard deviation of one, from their deviations (n,).
 
-    The mean of correlated samples has the variance C / n, with the sum C of the autocovariances. The sum ends at the first
-    lag that is five times the integrated correlation time (Sokal, "Monte Carlo methods in statistical mechanics", 1997,
-    §3), and is corrected for the estimated mean (Wolff, Comput. Phys. Commun. 156, 2004, eq. 49).
+    The mean of correlated samples has the variance C / n, with the sum C of the autocovariances. The sum ends at the
+    first lag that is five times the integrated correlation time (Sokal, "Monte Carlo methods in statistical mechanics",
+    1997, §3), and is corrected for the estimated mean (Wolff, Comput. Phys. Commun. 156, 2004, eq. 49).
 
     ``fitted``: 1 for deviations from the mean, 2 from the least-squares line, which lowers each Γ(k) by the same amount
     again.
@@ -113,7 +113,9 @@ class Settled(NamedTuple):
 
 
 def settled_from(means: Floats, block_var: Floats | float, floor: Floats | float) -> Settled:
-    """Return where the means (…, b) of consecutive blocks come to rest; each has the variance ``block_var`` (…) by noise.
+    """Return where the means (…, b) of consecutive blocks come to rest.
+
+    Each has the variance ``block_var`` (…) by noise.
 
     Rest is defined by a stop's second half. Stretches of 1, 2, 4 … blocks are compared with its level: short ones show
     ringing, long ones creep. Rest begins after the last stretch that deviates by more than noise or ``floor`` explains.
@@ -154,19 +156,21 @@ def _from_level(means: Floats) -> tuple[Floats, Floats]:
 
 @cache
 def _sigmas(stretches: int) -> float:
-    """Return the deviation, in standard deviations, that one of so many stretches exceeds with probability FALSE_ALARM."""
+    """Return the deviation, in σ, that one of so many stretches exceeds with probability FALSE_ALARM."""
     return -NormalDist().inv_cdf(FALSE_ALARM / (2.0 * stretches))
 
 
 def block_means(samples: Floats, length: int) -> Floats:
-    """Return the means (n // length,) of consecutive blocks of samples (n,); the first n % length samples are not used."""
+    """Return the means (n // length,) of consecutive blocks of samples (n,).
+
+    The first n % length samples are not used.
+    """
     count = samples.size // length
     return np.asarray(samples[samples.size - count * length :].reshape(count, length).mean(axis=1))
 
 
 def block_variance(samples: Floats, length: int) -> float:
-    """Return the variance of the mean of a block of this length, from the second half of the samples (n,) about its
-    line.
+    """Return the variance of the mean of a block of this length, from the second half of samples (n,) about its line.
 
     This is the larger of two values, derived from the correlation for a mean of many blocks and from the spread of the
     blocks. If neighbouring noise cancels, long means are far quieter than short ones.
@@ -195,7 +199,7 @@ def rings(settled: Settled) -> bool:
     return int(np.count_nonzero(np.diff(side))) >= 2
 
 
-# ----------------------------------------------------------------------------------------------------- stops of the robot
+# --------------------------------------------------------------------------------------------------- stops of the robot
 
 WINDOW_BINS = 4
 QUIET_SHARE = 0.1
@@ -210,7 +214,7 @@ POSE_TOLERANCE = np.pi / 180.0  # rad (or m), for every joint: what is nearer to
 
 
 def needs_decision(reason: str, planned: bool) -> bool:
-    """Return whether ``truearm session relabel`` can settle a dwell with this reason, in a session with or without a plan."""
+    """Return whether ``truearm session relabel`` can settle a dwell with this reason, with or without a plan."""
     return reason in NEED_DECISION or (reason == "no plan match" and not planned)
 
 
@@ -219,12 +223,11 @@ class Dwell:
     """A stop of the robot and its outcome.
 
     ``reason`` is "" if it gave an observation, else one that ``report.session_findings.REJECTED`` explains, MOUNTING,
-    "contradiction" (with a pose of the plan) or DOUBTFUL. ``detail`` quantifies it. ``stood_s``:
-    controller time during which the joints stood still. ``start_s``, ``end_s``: the part that is used, in which robot
-    and sensor had settled. ``bins``: first and past-the-last bin of its readings. ``q_var``: variances of single
-    readings about their mean, including quantisation. ``value`` [m]: mean length of the bar. ``value_var`` [m²]:
-    variance of that mean from the samples alone. ``sigma`` [m]: its standard deviation including the declared
-    repeatability.
+    "contradiction" (with a pose of the plan) or DOUBTFUL. ``detail`` quantifies it. ``stood_s``: controller time during
+    which the joints stood still. ``start_s``, ``end_s``: the part that is used, in which robot and sensor had settled.
+    ``bins``: first and past-the-last bin of its readings. ``q_var``: variances of single readings about their mean,
+    including quantisation. ``value`` [m]: mean length of the bar. ``value_var`` [m²]: variance of that mean from the
+    samples alone. ``sigma`` [m]: its standard deviation including the declared repeatability.
     """
 
     segment: int
@@ -292,9 +295,7 @@ def find_stops(bins: Bins, step: Floats) -> list[Dwell]:
 
 
 def resting_variance(bins: Bins, runs: list[slice], joints: int) -> Floats:
-    """Return the variance (j,) of a bin's mean at rest: the median over the second halves of all sufficiently long
-    stops.
-    """
+    """Return the variance (j,) of a bin's mean at rest: the median over the second halves of all long stops."""
     halves = (bins.joints((run.start + run.stop) // 2, run.stop).mean for run in runs)
     spread = [np.var(half, axis=0, ddof=1) for half in halves if len(half) >= LEAST_BLOCKS]
     return np.asarray(np.median(spread, axis=0)) if spread else np.zeros(joints)
@@ -371,7 +372,7 @@ def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStre
 
 
 def _readings(bins: Bins, span: slice, step: Floats) -> dict[str, Any]:
-    """Return the mean and the variances (j,) of the readings in these bins; the latter are at least those of quantisation."""
+    """Return the mean and the variances (j,) of the readings in these bins; the latter at least of quantisation."""
     n, (mean, _, _, scatter) = bins.times.n[span], bins.joints(span.start, span.stop)
     total = int(np.sum(n))
     q = np.sum(n[:, None] * mean, axis=0) / total
@@ -392,10 +393,10 @@ def has_manual_joints(stream: JointStream) -> bool:
 def manual_dwells(stream: JointStream, samples: ChannelSamples) -> list[Dwell]:
     """Return one dwell per reading, in order.
 
-    Manually noted joints arrive every few seconds, so they cannot show when the robot stood still. The ball-bar's length
-    can, by ``find_stops()``. A reading noted while the bar rested belongs to that rest; two that differ in one rest mean
-    that the robot moved unseen. Those in no rest, or in one with another reading, carry their reason. A motion that keeps
-    the length constant remains undetected.
+    Manually noted joints arrive every few seconds, so they cannot show when the robot stood still. The ball-bar's
+    length can, by ``find_stops()``. A reading noted while the bar rested belongs to that rest; two that differ in one
+    rest mean that the robot moved unseen. Those in no rest, or in one with another reading, carry their reason. A
+    motion that keeps the length constant remains undetected.
     """
     bins = stream.bins
     stops = find_stops(sensor_bins(samples), step=np.zeros(1))
@@ -478,8 +479,7 @@ MICRON = 1e-6  # a ball-bar's spheres are not rounder: less noise, ringing or dr
 
 
 class Noise(NamedTuple):
-    """Noise of the sensor at rest: variance [m²] of a block's mean, and sample standard deviation [m] by
-    ``quick_noise()``.
+    """Noise of the sensor at rest: variance [m²] of a block's mean, and standard deviation [m] by ``quick_noise()``.
 
     NaN: unknown.
     """
@@ -509,11 +509,11 @@ def measured(dwell: Dwell, samples: Samples, sensor: DwellSensor, joints: JointS
     """Return the dwell with its mean length, or with the reason why it has none.
 
     No dwell uses samples from across a gap. When the joints stand still, the arm beyond its encoders may still swing or
-    creep, and the bar shows it. The dwell therefore begins where the samples, too, stay at the level of its second half,
-    given the ``usual`` noise, the median over the first LEARNT dwells, and its correlation. A single dwell may have up to
-    four times that variance, but not more: otherwise a swing that never ends would pass for noise. A quarter of the
-    declared repeatability is tolerated. An exponential tail of that size leaves less than half of it in the mean, and adds
-    at most a hundredth to the variance.
+    creep, and the bar shows it. The dwell therefore begins where the samples, too, stay at the level of its second
+    half, given the ``usual`` noise, the median over the first LEARNT dwells, and its correlation. A single dwell may
+    have up to four times that variance, but not more: otherwise a swing that never ends would pass for noise. A quarter
+    of the declared repeatability is tolerated. An exponential tail of that size leaves less than half of it in the
+    mean, and adds at most a hundredth to the variance.
     """
     begin_ns, counts = samples.longest()
     dwell = replace(dwell, clock_bound_ns=samples.bound_ns)
@@ -559,8 +559,9 @@ def measured(dwell: Dwell, samples: Samples, sensor: DwellSensor, joints: JointS
 
 
 def settled(length: Floats, block: int, usual_var: float, floor: float) -> Settled | None:
-    """Return where the lengths (n,) [m] come to rest, in blocks of the given length; None if there are too few samples
-    or if they rest from the first.
+    """Return where the lengths (n,) [m] come to rest, in blocks of the given length.
+
+    None if there are too few samples or if they rest from the first.
 
     ``usual_var`` [m²]: variance of a block's mean at rest, NaN if unknown.
     """

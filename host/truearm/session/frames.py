@@ -1,7 +1,8 @@
 """Decode and check what a box sends (protocol/SPEC.md §4, §5): its frames, and the description of itself in idents.
 
-Nearly all frames are data and sync replies, whose heads have a fixed layout (protocol/frames.cddl). NumPy reads these in
-one pass, as a table with one row per frame, in order of arrival. All others are decoded singly and keep their elements.
+Nearly all frames are data and sync replies, whose heads have a fixed layout (protocol/frames.cddl). NumPy reads these
+in one pass, as a table with one row per frame, in order of arrival. All others are decoded singly and keep their
+elements.
 
 The recorder uses the functions for single frames too. Files are untrusted: each of these returns None if its input is
 invalid. The recorder and every reader of a session parse idents alike. If a single channel cannot be read, that channel
@@ -198,12 +199,14 @@ _UINT32, _UINT64 = 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits fol
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The frames (f,) in a batch of messages, which may follow frames of earlier ones. Messages that are not frames are left out.
+    """The frames (f,) in a batch of messages, which may follow frames of earlier ones.
 
-    ``table`` (f,) of FRAME; ``message`` is an index in the batch. ``lost``, ``n``, ``run`` and ``gap`` are for ``streams``
-    to fill in. ``contents``: the samples of each data frame, and the elements of each other frame that was decoded singly.
-    The type of a frame that violates the specification is NONE; ``malformed`` counts these and the messages that are not
-    frames.
+    Messages that are not frames are left out.
+
+    ``table`` (f,) of FRAME; ``message`` is an index in the batch. ``lost``, ``n``, ``run`` and ``gap`` are for
+    ``streams`` to fill in. ``contents``: the samples of each data frame, and the elements of each other frame that was
+    decoded singly. The type of a frame that violates the specification is NONE; ``malformed`` counts these and the
+    messages that are not frames.
     """
 
     table: NDArray[Any] = field(default_factory=lambda: np.empty(0, FRAME))
@@ -325,10 +328,12 @@ _Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}\Z"
 
 
 class Stream(msgspec.Struct, frozen=True):
-    """A stream of samples, on the topic ``/box/<name>``. The signal precedes a sample's timestamp by
-    ``group_delay_ns``.
+    """A stream of samples, on the topic ``/box/<name>``.
 
-    ``period_ns`` and ``group_delay_ns`` apply to ``osr``. Below ``shortest_period_ns`` the box would lose samples (0: not stated).
+    The signal precedes a sample's timestamp by ``group_delay_ns``.
+
+    ``period_ns`` and ``group_delay_ns`` apply to ``osr``. Below ``shortest_period_ns`` the box would lose samples (0:
+    not stated).
     """
 
     id: _Unsigned31
@@ -342,8 +347,9 @@ class Stream(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Ident:
-    """A box. ``document`` is its complete description in JSON-compatible form; ``faults`` lists problems for the
-    operator.
+    """A box.
+
+    ``document`` is its complete description in JSON-compatible form; ``faults`` lists problems for the operator.
     """
 
     firmware: str
@@ -541,7 +547,10 @@ def _shown(value: object) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return ``value`` in JSON-compatible form; a value of a type outside this protocol is replaced by the type's name."""
+    """Return ``value`` in JSON-compatible form.
+
+    A value of a type outside this protocol is replaced by the type's name.
+    """
     if value is None or isinstance(value, str | bool) or (isinstance(value, int) and value.bit_length() <= 64):
         return value
     if isinstance(value, bytes):
@@ -558,7 +567,10 @@ def _refuse(_: object) -> NoReturn:
 
 
 def recorded_ident(session: Session) -> Ident | None:
-    """Return the box's description in the session's metadata; None if there is none. Raises SessionError if it is not valid."""
+    """Return the box's description in the session's metadata; None if there is none.
+
+    Raises SessionError if it is not valid.
+    """
     text = session.metadata.get("box", {}).get("ident")
     try:
         return None if text is None else parse_ident(json.loads(text))

@@ -3,8 +3,8 @@
 A reading is a line of JSON (docs/reference/session-format.md), checked in the same way during recording
 (``parse_line()``) and reading (``parse_lines()``). A message on ``/robot/columns`` holds the result of
 ``parse_lines()`` for the preceding messages of ``/robot/joints``, since the last such message. It is CBOR: typed arrays
-(RFC 8746) by name, which NumPy uses as they are. The readings of a source that sends numbers, not text, are such columns
-alone (``/robot/readings``).
+(RFC 8746) by name, which NumPy uses as they are. The readings of a source that sends numbers, not text, are such
+columns alone (``/robot/readings``).
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ _encoded = msgspec.json.Encoder(enc_hook=methodcaller("tolist")).encode  # NumPy
 def parse_line(line: bytes) -> JointLine | None:
     """Parse a line; None if it is not a reading. Takes about 0.8 µs for six joints.
 
-    A reading is an object with a number ``t`` and numbers ``q`` below MAX_Q; ``seq`` is an integer if present. Other keys are
-    ignored.
+    A reading is an object with a number ``t`` and numbers ``q`` below MAX_Q; ``seq`` is an integer if present. Other
+    keys are ignored.
     """
     try:
         row = _usual_line(line)
@@ -105,7 +105,9 @@ def are_joints(value: object) -> TypeGuard[list[float]]:
 
 
 def format_reading(t: float, seq: int | None, q: Sequence[float], **optional: object) -> bytes:
-    """Return the line of a reading, every number with all its digits; entries of ``optional`` that are None are left out.
+    """Return the line of a reading, every number with all its digits.
+
+    Entries of ``optional`` that are None are left out.
 
     ``optional`` may hold the keys of docs/reference/session-format.md: ``q_cmd``, ``qd``, ``current`` ….
     """
@@ -133,10 +135,10 @@ _RANGES: dict[str, tuple[float, float]] = {  # of the numbers of a batch: from, 
 class JointBatch:
     """Readings (n,) of j joints in order of arrival.
 
-    ``columns``: host time ``arrival_ns`` (n,), the controller's time ``t`` (n,) [s], ``seq`` (n,), UNNUMBERED where a reading
-    has no number, joints ``q`` (n, j) [rad or m]; and what any reading has of commanded joints ``q_cmd``, velocities ``qd``,
-    ``current``, ``effort`` (n, j), ``inputs``, ``robot_mode`` and ``runtime_state`` (n,). Where a reading does not have it,
-    it is NaN, or NO_INPUTS.
+    ``columns``: host time ``arrival_ns`` (n,), the controller's time ``t`` (n,) [s], ``seq`` (n,), UNNUMBERED where a
+    reading has no number, joints ``q`` (n, j) [rad or m]; and what any reading has of commanded joints ``q_cmd``,
+    velocities ``qd``, ``current``, ``effort`` (n, j), ``inputs``, ``robot_mode`` and ``runtime_state`` (n,). Where a
+    reading does not have it, it is NaN, or NO_INPUTS.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -155,9 +157,7 @@ class JointBatch:
 
 @uncollected()
 def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints: int | None = None) -> JointBatch:
-    """Return the readings among ``lines``, as ``parse_line`` accepts them, with ``joints`` joints (None: as many as the
-    first).
-    """
+    """Return the readings among ``lines``, as ``parse_line`` accepts them, of ``joints`` joints (None: the first's)."""
     rows = [(row, arrival) for line, arrival in zip(lines, arrival_ns, strict=True) if (row := parse_line(line))]
     width = joints or (len(rows[0][0].q) if rows else 0)
     rows = [(row, arrival) for row, arrival in rows if len(row.q) == width]
@@ -165,7 +165,7 @@ def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints
 
 
 def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
-    """Concatenate at least one batch of readings with equal numbers of joints; missing columns are filled with no value."""
+    """Concatenate at least one batch of readings of the same joints; missing columns are filled with no value."""
     if len(batches) == 1:
         return batches[0]
     width = batches[0].q.shape[1]
@@ -209,8 +209,8 @@ def unpack(*messages: bytes) -> JointBatch | None:
 def joint_batch(messages: Messages, joints: int | None) -> tuple[JointBatch, int]:
     """Return the readings of a batch of messages in order, and how many lines and columns are malformed.
 
-    ``joints``: number of joints per reading; None: as in the first. The columns beside lines are used if they are those of
-    the lines; else the lines are parsed.
+    ``joints``: number of joints per reading; None: as in the first. The columns beside lines are used if they are those
+    of the lines; else the lines are parsed.
     """
     lines, columns, numbers = (messages.rows(topic.__eq__) for topic in (JOINTS, COLUMNS, READINGS))
     arrival_ns = messages.t_host_ns[lines]
@@ -246,7 +246,10 @@ def columns_of_rows(
 
 
 def _column(key: str, values: Sequence[Any], width: int) -> NDArray[Any]:
-    """Return a column of values; None, and arrays of another number of joints, are values that a reading does not have."""
+    """Return a column of values.
+
+    None, and arrays of another number of joints, are values that a reading does not have.
+    """
     if key in _OF_JOINTS:
         nothing = [np.nan] * width
         rows = (nothing if value is None or len(value) != width else value for value in values)

@@ -1,8 +1,8 @@
 """Read the robot's joint readings: their order, the controller's clock and inputs, and bins for finding dwells.
 
 Readings are lines or columns (``joint_format``). The columns of ``/robot/columns`` are used if their arrival times are
-those of the lines; otherwise messages were lost or doubled, and the lines are parsed. A reading that is late (its controller time lies before that of
-an earlier one) is counted and not used; it counts as lost too.
+those of the lines; otherwise messages were lost or doubled, and the lines are parsed. A reading that is late (its
+controller time lies before that of an earlier one) is counted and not used; it counts as lost too.
 
 A session may hold ten million readings. For each 50 ms only count, mean, extremes and scatter are kept
 (``JointReader``), those of the joints on the disk.
@@ -95,7 +95,10 @@ class BinJoints(NamedTuple):
 
 
 class BinTimes(NamedTuple):
-    """When readings in bins (b,) were made. ``gap``: readings are missing before the bin, or another segment begins with it."""
+    """When readings in bins (b,) were made.
+
+    ``gap``: readings are missing before the bin, or another segment begins with it.
+    """
 
     segment: NDArray[Any]
     t_first_s: NDArray[Any]

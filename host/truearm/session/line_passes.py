@@ -1,10 +1,10 @@
 """Measure passes along a line device in motion.
 
-A **leg** is a motion from one stop or turn to the next, found from the joint readings alone (``find_legs``). It ends where
-the step between two bins is slow, or turns by more than a right angle.
+A **leg** is a motion from one stop or turn to the next, found from the joint readings alone (``find_legs``). It ends
+where the step between two bins is slow, or turns by more than a right angle.
 
-A **row** is at the instant of an interrogation of the head that gives the position along the device (y). Cubics fitted to
-the same time before and after give y, the transverse position (x, z) and the joints there. A row needs a complete
+A **row** is at the instant of an interrogation of the head that gives the position along the device (y). Cubics fitted
+to the same time before and after give y, the transverse position (x, z) and the joints there. A row needs a complete
 window: no missing sample or reading, no restart of a clock. Rows lie where the magnet moves steadily, with windows that
 do not overlap and noise that is not correlated.
 
@@ -83,7 +83,7 @@ def find_legs(stream: JointStream) -> list[Leg]:
 
 
 def _steps(bins: BinTimes, mean: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return the change of the mean (b − 1, j) from each bin to the next, its time [s], and whether it is one motion."""
+    """Return the change of the mean (b − 1, j) between successive bins, its time [s], and whether it is one motion."""
     middle = 0.5 * (bins.t_first_s + bins.t_last_s)
     seconds = np.diff(middle)
     joined = (np.diff(bins.segment) == 0) & (seconds > 0.0)
@@ -124,8 +124,9 @@ class LocalFits(NamedTuple):
 
 
 def fit_locally(t: Floats, values: Floats, centres: Floats, half_s: float) -> LocalFits:
-    """Fit cubics around ``centres`` (r,) [s] to samples ``values`` (n, c) at ascending ``t`` (n,) [s], with w =
-    ``half_s``.
+    """Fit cubics around ``centres`` (r,) [s] to samples ``values`` (n, c) at ascending ``t`` (n,) [s].
+
+    w is ``half_s``.
 
     NaN where a window holds fewer than LEAST samples. The caller must check that a window is complete.
     """
@@ -168,10 +169,10 @@ FORGOTTEN = 2.0  # integrated correlation times after which noise is independent
 class LinePass:
     """One motion along a line and its outcome; ``reason`` is "" if it gave rows.
 
-    ``direction`` is +1 where y rises. ``table``: the r rows; their ``xyz_sigma`` is of the device's own noise and of its
-    time, excluding the uncertainty declared by the rig. ``noise`` (3,) [m] and ``q_noise`` (j,) are standard deviations
-    of single readings about the motion. ``q_error`` [rad or m] bounds the error of the interpolated joints. ``dropped``:
-    rows that could not be made, by reason.
+    ``direction`` is +1 where y rises. ``table``: the r rows; their ``xyz_sigma`` is of the device's own noise and of
+    its time, excluding the uncertainty declared by the rig. ``noise`` (3,) [m] and ``q_noise`` (j,) are standard
+    deviations of single readings about the motion. ``q_error`` [rad or m] bounds the error of the interpolated joints.
+    ``dropped``: rows that could not be made, by reason.
     """
 
     leg: Leg
@@ -208,9 +209,9 @@ class _Signal(NamedTuple):
 class _Signals:
     """Signals during a leg.
 
-    ``shots``: all interrogations, and ``y`` those that were answered. ``across``: without samples at a rail or beyond the
-    reach of the transducers, which are at ``off_t`` (k,). ``half_s``: half of the window of a row. ``period_s``: of the
-    interrogations. ``step`` (j,): quantisation of the joints.
+    ``shots``: all interrogations, and ``y`` those that were answered. ``across``: without samples at a rail or beyond
+    the reach of the transducers, which are at ``off_t`` (k,). ``half_s``: half of the window of a row. ``period_s``: of
+    the interrogations. ``step`` (j,): quantisation of the joints.
     """
 
     y: _Signal
@@ -233,9 +234,9 @@ def measure(
 ) -> LinePass | None:
     """Return the pass with its rows or with the reason why it has none; None if nothing moved along the device.
 
-    ``samples``: of the channels along and across the device. ``reach`` [m]: range within which the transducers are valid.
-    ``points``: maximum number of rows; None: as many as the noise allows. Raises SessionError for a channel without a calibration to
-    metres.
+    ``samples``: of the channels along and across the device. ``reach`` [m]: range within which the transducers are
+    valid. ``points``: maximum number of rows; None: as many as the noise allows. Raises SessionError for a channel
+    without a calibration to metres.
     """
     leg = passing.leg
     along, across = (_without_faults(channels.during(leg.start_host_ns, leg.end_host_ns)) for channels in samples)
@@ -421,9 +422,7 @@ def _instants(y_t: Floats, first: float, last: float, width: float, forgotten: f
 
 
 def _correlation(s: _Signals, first: float, last: float) -> tuple[Floats, float]:
-    """Return how many samples of x, y, z (3,) it takes for the noise to be independent, and the longest of these times
-    [s].
-    """
+    """Return how many samples of x, y, z (3,) the noise stays correlated, and the longest of these times [s]."""
     channels = ((s.across, 0), (s.y, 0), (s.across, 1))
     count, longest = np.ones(3), s.period_s
     for k, (signal, column) in enumerate(channels):

@@ -2,7 +2,8 @@
 
 ``survey`` reads the session. It accounts for every frame, collects the clock exchanges and the robot's data, keeps the
 samples of the kinds' channels on the disk, and finds the dwells and the legs. ``observations`` processes the samples of
-one dwell and one leg after another. A dwell gives one observation and a leg along a line device many, or a reason why not.
+one dwell and one leg after another. A dwell gives one observation and a leg along a line device many, or a reason why
+not.
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ def read_blocks(source: Source, box: BoxReader) -> Iterator[tuple[Messages, list
 def survey(source: Source, ident: Ident | None = None, wander: float = WANDER) -> Survey:
     """Read all messages and return the survey.
 
-    ``ident`` (from the session's metadata) is used until the box sends its own; ``wander``: how far the rate of the host's clock may wander.
+    ``ident`` (from the session's metadata) is used until the box sends its own; ``wander``: how far the rate of the
+    host's clock may wander.
     """
     box, robot, marks = BoxReader(ident), JointReader(), Marks()
     samples = {name: tuple(map(ChannelSamples, kind.channels)) for name, kind in registry.kinds().items()}
@@ -153,8 +155,8 @@ def observations(
     """Return the observations of the ball-bar and of a line device.
 
     ``name`` is the session's name in the table's ``source``. ``line_points``: maximum number of rows per pass along a
-    line; None: as many as the noise allows. ``labels``: what was mounted, if settled afterwards; plan and events are then
-    not used. Raises RigError if a dwell's bar, chuck or sphere, a line or its target is not in the rig. Raises
+    line; None: as many as the noise allows. ``labels``: what was mounted, if settled afterwards; plan and events are
+    then not used. Raises RigError if a dwell's bar, chuck or sphere, a line or its target is not in the rig. Raises
     SessionError if the box has no channel for the ball-bar or no calibration of it.
     """
     marks = surveyed.marks
@@ -199,7 +201,7 @@ def observations(
 def _measured(
     dwells: Sequence[Dwell], name: str, number: int, sensors_of: SensorsOf, surveyed: Survey, rig: Rig
 ) -> list[Dwell]:
-    """Return the dwells, those without a reason with what the sensor on a channel of a kind, by its number, measured."""
+    """Return the dwells, those without a reason with what the sensor on a kind's channel, by number, measured."""
     samples, dwells = surveyed.samples[name][number], list(dwells)
     sensors = {i: sensors_of(rig, dwell.mounted)[number] for i, dwell in enumerate(dwells) if not dwell.reason}
     if name == BAR and sensors:

@@ -1,9 +1,9 @@
 """Assign bar, chuck and sphere to each dwell, by the plan or by what was said to be mounted; lines to legs likewise.
 
 A robot follows its plan in order. A pose may be left out, visited twice or stopped at in between, and the program may
-begin again. The assignment is a path through the plan: (dwell, pose) pairs that are near in joint space. Each pair gains
-1. Staying at the previous pose costs REPEAT, going back costs BACK: one stop near an earlier pose is no restart, two in
-a row are. Among paths of equal value, the nearer one is chosen.
+begin again. The assignment is a path through the plan: (dwell, pose) pairs that are near in joint space. Each pair
+gains 1. Staying at the previous pose costs REPEAT, going back costs BACK: one stop near an earlier pose is no restart,
+two in a row are. Among paths of equal value, the nearer one is chosen.
 
 A plan may contain the same pose with different fittings. A dwell to which paths of the highest value assign different
 fittings is **ambiguous**. Distances do not decide here.
@@ -46,7 +46,8 @@ BACK = 1.125
 class PlannedPoses:
     """The poses at which the ball-bar is read, or the ends of lines, in order.
 
-    ``q`` (p, j), of a line the joints at both ends. ``mounted``: what is mounted at each. ``rows``: its row in the plan.
+    ``q`` (p, j), of a line the joints at both ends. ``mounted``: what is mounted at each. ``rows``: its row in the
+    plan.
     """
 
     q: Floats
@@ -55,7 +56,10 @@ class PlannedPoses:
 
 
 class PlanRow(NamedTuple):
-    """A row of the plan as in ``/plan`` (``types.Plan``); ``number``: its place, also behind rows that cannot be used."""
+    """A row of the plan as in ``/plan`` (``types.Plan``).
+
+    ``number``: its place, also behind rows that cannot be used.
+    """
 
     number: int
     q: list[float]
@@ -447,10 +451,10 @@ def labels_path(session: Path) -> Path:
 
 
 def read_labels(session: Path) -> tuple[DwellLabel, ...] | None:
-    """Return the labels of the last decision about a session, or None if it has none (docs/reference/session-format.md).
+    """Return the labels of the last decision about a session, or None (docs/reference/session-format.md).
 
-    ``truearm session relabel`` writes SESSION.labels.json next to the session, which is never modified, and identifies it by
-    its SHA-256. If there are several decisions, the last one counts.
+    ``truearm session relabel`` writes SESSION.labels.json next to the session, which is never modified, and identifies
+    it by its SHA-256. If there are several decisions, the last one counts.
 
     Raises SessionError, also for labels that belong to another session.
     """

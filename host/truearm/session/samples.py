@@ -88,7 +88,7 @@ def extension(counts: NDArray[Any], channel: Channel) -> Floats:
 
 
 def shown(channel: Channel, count: int) -> tuple[str, float]:
-    """Return a usable channel's sample for display, and its name with the unit: metres if it is calibrated to a length."""
+    """Return a usable channel's name with the unit, and its sample for display: metres if calibrated to a length."""
     if channel.length_unit is None:
         return f"{channel.name}_{channel.unit or 'raw'}", count * channel.scale
     return f"{channel.name}_m", float(extension(np.array(count), channel))
@@ -100,9 +100,9 @@ IN_MEMORY_BYTES = 1 << 20
 class Spool:
     """Arrays that belong together, by number, in the order in which they were added, in a temporary file.
 
-    A session may hold more than fits in memory. The file lies in the folder for temporary files (``TMPDIR``), has no name, and
-    takes about as much space as the session.
-    ``spans``: the segment of each number, and its first and last time.
+    A session may hold more than fits in memory. The file lies in the folder for temporary files (``TMPDIR``), has no
+    name, and takes about as much space as the session. ``spans``: the segment of each number, and its first and last
+    time.
     """
 
     def __init__(self) -> None:
@@ -140,8 +140,8 @@ SLACK_US = 10_000  # of the time between which samples lie
 class Samples:
     """Samples (n,) of c channels of one stream: host time [ns] at which the signal had the value, and counts (n, c).
 
-    ``piece`` (n,) is another number behind a gap. ``fault`` (n,): the converter's. ``bounds_ns`` (n,): largest errors of
-    the times. ``periods_ns`` (n,): of the converter.
+    ``piece`` (n,) is another number behind a gap. ``fault`` (n,): the converter's. ``bounds_ns`` (n,): largest errors
+    of the times. ``periods_ns`` (n,): of the converter.
     """
 
     t_ns: Ints
@@ -167,7 +167,7 @@ class Samples:
         return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     def longest(self) -> tuple[int, NDArray[np.int32]]:
-        """Return the host time [ns] of the first sample of the longest gap-free piece, and the counts of its first channel."""
+        """Return the host time [ns] of the first sample of the longest gap-free piece, and its first channel."""
         begins = np.flatnonzero(np.diff(self.piece, prepend=-1))
         n = np.diff(begins, append=len(self.piece))
         first = int(begins[np.argmax(n)])

@@ -1,8 +1,8 @@
 """Read a session file, complete or truncated, within bounds.
 
-A complete file has a CRC of all its bytes. If that matches, nothing else is checked. Otherwise each record is checked by
-itself: chunks, attachments and our metadata have CRCs. Behind a damaged record, the next intact one is searched for, so
-one flipped bit costs the second of messages in its chunk. The writer repeats metadata, attachments and the plan, of
+A complete file has a CRC of all its bytes. If that matches, nothing else is checked. Otherwise each record is checked
+by itself: chunks, attachments and our metadata have CRCs. Behind a damaged record, the next intact one is searched for,
+so one flipped bit costs the second of messages in its chunk. The writer repeats metadata, attachments and the plan, of
 which any intact copy is used.
 
 Chunks become ``Messages``: columns with one row per message, some megabytes of records at a time. Python only finds the
@@ -282,8 +282,9 @@ _START = re.compile(rb"[\x06\x09\x0c\x0f](?=.{4}\0{4})", re.DOTALL)
 
 @dataclass(frozen=True)
 class Damage:
-    """A place where a file is damaged. ``at``: its first byte, None if only a CRC reveals it. Times in seconds of the
-    session.
+    """A place where a file is damaged.
+
+    ``at``: its first byte, None if only a CRC reveals it. Times in seconds of the session.
 
     ``lost_s`` of the ``of_s`` seconds are missing, starting ``from_s`` after the first message.
     """
@@ -389,8 +390,8 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
 class RecordWalk:
     """Goes through the records of a file.
 
-    ``every_record``: check each record, and search for the next one behind a damaged one. Otherwise stop there, and leave
-    the chunks packed.
+    ``every_record``: check each record, and search for the next one behind a damaged one. Otherwise stop there, and
+    leave the chunks packed.
     """
 
     def __init__(self, path: Path, file: BinaryIO, every_record: bool) -> None:

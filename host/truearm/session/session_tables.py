@@ -166,7 +166,10 @@ def _channel(counts: NDArray[np.int32], channel: Channel, unnamed: str) -> Itera
 def _readings(
     pieces: Sequence[tuple[int, JointBatch]], joints: JointStream, units: Sequence[str], keys: list[JointBatch]
 ) -> Iterator[Batch]:
-    """Yield the table of readings in order of arrival, by segment. ``keys``: a batch of no readings, with all keys so far."""
+    """Yield the table of readings in order of arrival, by segment.
+
+    ``keys``: a batch of no readings, with all keys so far.
+    """
     if not pieces:
         return
     segment = np.concatenate([np.full(len(piece), number) for number, piece in pieces])

@@ -5,9 +5,9 @@ the count is malformed. A box states its boot id in a heartbeat once a second an
 frames are held until then. If it is another, the box restarted where ``seq`` last falls back, or else jumps
 farthest ahead. A new ``Segment`` begins there.
 
-The data frames of a batch become ``Blocks``. ``StreamTrack`` counts their samples by ``n0``. Samples missing where frames
-were lost are lost with them, others in the box. If ``n0`` falls back, another run began. Losses in the box before
-the session's start are not counted.
+The data frames of a batch become ``Blocks``. ``StreamTrack`` counts their samples by ``n0``. Samples missing where
+frames were lost are lost with them, others in the box. If ``n0`` falls back, another run began. Losses in the box
+before the session's start are not counted.
 
 The box's own counters in its heartbeats (SPEC §4) are summed.
 """
@@ -69,7 +69,7 @@ class Losses:
     sync_requests: int = 0
     sync_unanswered: int = 0
     plan_events_malformed: int = 0  # rows of the plan and events that cannot be used
-    # Number of heartbeats, sum of every counter in them since the session began, and worst of every extreme; None without one
+    # Number of heartbeats, sum of every counter in them since the session began, worst of every extreme; or None
     box: Mapping[str, int | None] = field(default_factory=dict)
 
 
@@ -105,7 +105,10 @@ class StreamTrack:
     whole_samples: int = 0
 
     def take(self, rows: NDArray[Any]) -> None:
-        """Account for blocks (b,) of FRAME of one boot; enter before which of them samples are missing, and the run of each."""
+        """Account for blocks (b,) of FRAME of one boot.
+
+        Enters before which of them samples are missing, and the run of each.
+        """
         n0, n, t0_us, flags, frames_lost = (rows[name] for name in ("n0", "n", "t_us", "flags", "lost"))
         joins = self.next_n0 is None  # a running box, or one that restarted: then it counts from 0
         with_frames = np.diff(frames_lost, prepend=self.frames_lost) > 0
@@ -157,8 +160,9 @@ MOST_HELD = 8192  # frames without a boot id, which a box states every second
 class Blocks:
     """Data frames (b,) of one stream, segment and ident, in order of sending.
 
-    ``table`` (b,) of FRAME: ``n0`` and ``t_us`` are index and device time of the first sample, ``n`` the number of samples per
-    channel; before a ``gap`` samples are missing. ``counts`` (Σ n, c): of ``channels``, some or all of the stream's.
+    ``table`` (b,) of FRAME: ``n0`` and ``t_us`` are index and device time of the first sample, ``n`` the number of
+    samples per channel; before a ``gap`` samples are missing. ``counts`` (Σ n, c): of ``channels``, some or all of the
+    stream's.
     """
 
     segment: int
@@ -230,7 +234,7 @@ class BoxReader:
         self._streams: dict[int, StreamTrack] = {}
         self._described: dict[int, Stream] = {}  # the same streams, by the ident of their newest block
         self._pages = Pages()
-        # By thermometer, None for the box's own: segment, device time [µs], m°C; edges of the trigger output: segment, time, level
+        # By thermometer, None for the box's: segment, device time [µs], m°C; edges of the output: segment, time, level
         self.temperatures: dict[str | None, list[tuple[int, int, int]]] = {None: []}
         self.output: list[tuple[int, int, int]] = []
 
@@ -260,7 +264,7 @@ class BoxReader:
         return self._use(self._held, 0)
 
     def exchanges(self, segment: Segment) -> Ints:
-        """Return the clock exchanges of a segment (k, 4): times of host write, device receive, device send and arrival."""
+        """Return the clock exchanges of a segment (k, 4): times of host write, device receive and send, and arrival."""
         rows = np.concatenate(self._heard)
         return np.asarray(rows[segment_at(self.segments, rows[:, 0]) == segment.index, 1:])
 
@@ -278,7 +282,7 @@ class BoxReader:
     # ------------------------------------------------------------------------------------------------ boots
 
     def _use(self, frames: Frames, held: int) -> list[Blocks]:
-        """Account for the frames up to the last that states the boot id and has one behind it; hold at most ``held``."""
+        """Account for frames up to the last that states the boot id and has one behind it; hold at most ``held``."""
         stated = np.flatnonzero(frames.table["boot_id"][: len(frames.table) - bool(held)] != NONE)
         end = max(int(stated[-1]) + 1 if stated.size else 0, len(frames.table) - held)
         self._held = Frames(frames.table[end:].copy(), frames.contents[end:])
@@ -290,8 +294,10 @@ class BoxReader:
         return blocks
 
     def _restarts(self, table: NDArray[Any], stated: NDArray[np.intp]) -> list[int]:
-        """Return the first frame of each further boot. It is the last one behind the count, or the farthest ahead, among those
-        before the frame that states another boot id, back to the preceding statement.
+        """Return the first frame of each further boot.
+
+        It is the last one behind the count, or the farthest ahead, among those before the frame that states another
+        boot id, back to the preceding statement.
         """
         seq, restarts = table["seq"], list[int]()
         jump = np.diff(seq, prepend=seq[:1] - 1 if self._next is None else self._next - 1) - 1
@@ -315,7 +321,8 @@ class BoxReader:
     def _in_order(self, table: NDArray[Any], begin: int, end: int) -> Ints:
         """Return which frames of one boot count up, and enter the frames lost in the session before each.
 
-        A frame behind the count is malformed, and one ahead of the next frame (SPEC §1) or of the next that states the boot id.
+        A frame behind the count is malformed, and one ahead of the next frame (SPEC §1) or of the next that states the
+        boot id.
         """
         seq, boot_id = table["seq"][begin : end + 1], table["boot_id"][begin:end]
         # A first frame that both following ones are behind is malformed itself.

@@ -39,9 +39,7 @@ EDGE = np.dtype([("host_ns", "i8"), ("bound_ns", "f8"), ("rising", "?")])
 
 
 class Matched(NamedTuple):
-    """Index of the input change that matches each edge (n,) of the output, −1 if unknown, and the number of ambiguous
-    ones.
-    """
+    """Index of the input change that matches each edge (n,) of the output (−1: unknown), and how many are ambiguous."""
 
     change: NDArray[np.intp]
     unseen: int
@@ -85,14 +83,14 @@ def fit_edges(
     span_s: tuple[float, float],
     wander: float = WANDER,
 ) -> tuple[RobotClock, EdgeReport]:
-    """Return the clock from edges (n,) of EDGE between readings before and after (n,) [s], n ≥ 1, and the complete report.
+    """Return the clock from edges (n ≥ 1,) of EDGE between readings before and after (n,) [s], and the report.
 
-    ``arrivals``, of which ``span_s`` is the time, converts the short time between these readings, and is compared with the
-    result. ``wander``: of the host's clock.
+    ``arrivals``, of which ``span_s`` is the time, converts the short time between these readings, and is compared with
+    the result. ``wander``: of the host's clock.
     """
     course_wander = COURSE_WANDER if wander == WANDER else None
     stamps, until_ns = arrivals.stamps(after_s), arrivals.to_host_ns(after_s) - arrivals.to_host_ns(before_s)
-    # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS: half of it is added, and half of it is a bound.
+    # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS: half of it is added, half is a bound.
     host_ns = edges["host_ns"] + round(0.5 * SHORTEST_DELAY_NS)
     rows = np.stack([stamps, host_ns + until_ns + STAMP_NS, host_ns - STAMP_NS])
 
@@ -146,8 +144,8 @@ def _delayed(rising: NDArray[np.bool_], low: float, high: float) -> Ints:
 def _falling_later(clock: Clock, rows: Ints, rising: NDArray[np.bool_]) -> tuple[float, float]:
     """Return how much later falling edges are seen than rising ones, at least and at most.
 
-    The difference is constant, so each edge limits it by all edges of the other direction, which the rates of a clock move
-    to it.
+    The difference is constant, so each edge limits it by all edges of the other direction, which the rates of a clock
+    move to it.
     """
     early, late = (clock.relative_to_course(*rows[:, k]) for k in (rising, ~rising))
     x = np.concatenate([early.x, late.x])
@@ -163,8 +161,8 @@ def with_edges(
 ) -> JointStream:
     """Return the readings, with clocks from edges wherever these are more accurate than arrivals.
 
-    ``output``: edges of the box's trigger output: segment of the box, device time [µs] and level. ``clocks``: of these segments.
-    ``wander``: of the host's clock.
+    ``output``: edges of the box's trigger output: segment of the box, device time [µs] and level. ``clocks``: of these
+    segments. ``wander``: of the host's clock.
     """
     segment, t_us, level = np.array(output, np.int64).reshape(-1, 3).T
     edges = np.zeros(len(level), EDGE)

@@ -1,4 +1,4 @@
-"""The result of an identification as used by later commands: a result.json and its robot, and what it did not determine."""
+"""The result of an identification as later commands use it: a result.json, its robot, and what is undetermined."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Calibration(Displayed):
         return {name: self.stored.column(name) for name in names}
 
     def forward(self, q: ArrayLike) -> Floats:
-        """Return the poses (n, 4, 4) of the identified robot's end, with its joint laws, at joint readings q (n, j), or one.
+        """Return the poses (n, 4, 4) of the identified robot's end, with its joint laws, at readings q (n, j), or one.
 
         Raises TypeError, InputError.
 
@@ -200,7 +200,7 @@ class Identification(Calibration):
     rig: Rigs
     table: ObservationTable
     estimate: Estimate
-    # The expected error of the tool; None if the residuals hold more than the declared noise and it is smaller than that.
+    # The expected error of the tool; None if it is smaller than what residuals hold beyond the declared noise.
     predicted: PredictedError | None
 
     @property
@@ -244,8 +244,9 @@ def frames_of(robot: str, base: str | None, tip: str | None, stored: Result) -> 
 
 
 def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Calibration:
-    """Return the calibration of a robot from a result; ``called`` and ``result`` name the two in messages. Raises
-    InputError.
+    """Return the calibration of a robot from a result; ``called`` and ``result`` name the two in messages.
+
+    Raises InputError.
     """
     robot = robot_with_laws(robot, _laws_of(stored, robot, result))
     chain, robot_rows = robot.chain, stored.column("of") == "robot"
@@ -272,7 +273,10 @@ def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Ca
 
 
 def _laws_of(stored: Result, robot: Robot, result: str) -> tuple[Law, ...]:
-    """Return the result's joint laws. Raises InputError if they refer to joints or frames that the robot does not have."""
+    """Return the result's joint laws.
+
+    Raises InputError if they refer to joints or frames that the robot does not have.
+    """
     joints = len(robot.chain.joints)
     for law in stored.laws:
         frames = law.frames if isinstance(law, SagMasses) else ()
@@ -301,7 +305,10 @@ def mounting_values(chain: Chain, nominal: Floats, identified: Floats) -> dict[s
 
 
 def check_joints(argument: str, readings: Sequence[float] | None, chain: Chain) -> Floats | None:
-    """Return the readings (j,) [rad, m] of an argument, completed and checked; None if it was not given. Raises InputError."""
+    """Return the readings (j,) [rad, m] of an argument, completed and checked; None if it was not given.
+
+    Raises InputError.
+    """
     if readings is None:
         return None
     q = np.array(readings, dtype=float)
@@ -408,8 +415,9 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
 
 
 def unseen_within(calibration: Calibration) -> tuple[Floats, tuple[str, ...]]:
-    """Return the directions (p, d) that the observations did not determine, without those that only place base or tool,
-    and which of the two they place: errors are then relative to it.
+    """Return the directions (p, d) that the observations did not determine, and which of base and tool are not.
+
+    Directions that only place base or tool are not among them: errors are then relative to base or tool.
     """
     unseen, places = calibration.unseen, mounting(calibration.chain, calibration.nominal)
     within = (unseen[~places.either] != 0.0).any(axis=0)

@@ -260,7 +260,7 @@ def _mean_var(bins: Bins, dwell: Dwell) -> Floats:
 
 
 def repeatability_findings(document: Document) -> list[Finding]:
-    """Return the repeatability, what identify uses, how the arm settles, and the noise; figures with intervals of 95 %."""
+    """Return the repeatability, what identify uses, how the arm settles, and the noise; with intervals of 95 %."""
     spread, settling, noise, sensor = (document[name] for name in ("repeatability", "settling", "noise", "sensor"))
     widths = zip(spread["backlash_si"], document["joints"], strict=True)
     largest, joint = max(widths, key=lambda width: width[0]["value"] if isfinite(width[0]["value"]) else -1.0)

@@ -1,4 +1,4 @@
-"""The model that a Universal Robots controller computes with, as a robot file (``truearm robot read``, ``truearm init``).
+"""The model of a Universal Robots controller as a robot file (``truearm robot read``, ``truearm init``).
 
 The file is the one of the drawing with a further set of values, CONTROLLER, which becomes the nominal one. The rows
 with d of hundreds of metres become rows with Hayati's β (``export.toml_tables``), which can be identified.
@@ -68,7 +68,10 @@ def _is_live(source: str) -> bool:
 
 
 def _kinematics(source: str, drawing: Robot) -> ControllerKinematics:
-    """Return the kinematics of the controller at ``rtde://host``, or in a file. Raises LinkError, InputError, which names the source."""
+    """Return the kinematics of the controller at ``rtde://host``, or in a file.
+
+    Raises LinkError, InputError, which names the source.
+    """
     try:
         if _is_live(source):
             return controller_kinematics.kinematics_of_info(kinematics_info(source))
@@ -89,7 +92,7 @@ def drawing_text(model: str) -> str:
 
 
 def controller_text(text: str, drawing: Robot, kinematics: ControllerKinematics) -> tuple[str, Floats]:
-    """Return a robot file with the controller's values as nominal ones, and how far (n, 6) [m, rad] it is from the drawing.
+    """Return a robot file with the controller's values, and how far (n, 6) [m, rad] these are from the drawing.
 
     Raises RobotError if the controller is that of another arm, or if the file's convention cannot hold its kinematics.
     """

@@ -108,7 +108,10 @@ def corrected_poses(
 
 
 def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
-    """Return how to correct. Raises InputError for a number of steps that would have no effect, and for a wrong home."""
+    """Return how to correct.
+
+    Raises InputError for a number of steps that would have no effect, and for a wrong home.
+    """
     if options.steps > 1 and not options.method.steps:
         text = f": {options.steps} has no effect with method {options.method}; leave it out, or use method "
         raise InputError(Argument("steps"), text, " or ".join(with_steps()))
@@ -209,7 +212,10 @@ def _correct_programs(
 
 
 def _read_programs(path: Path) -> tuple[ProgramLanguage, dict[str, bytes]]:
-    """Return the language and the contents of a program by its name, or of a folder's by paths with slashes. Raises InputError."""
+    """Return the language and the contents of a program by its name, or of a folder's by paths with slashes.
+
+    Raises InputError.
+    """
     files = {path.name: path}
     if path.is_dir():
         files = {file.relative_to(path).as_posix(): file for file in sorted(path.rglob("*")) if file.is_file()}

@@ -330,7 +330,7 @@ def _reason(row: int, visit: Visit, language: str, solution: Solution, has_home:
 
 
 def _turns_fit(visit: Visit, language: str, q_nominal: Floats, q: Floats) -> bool:
-    """Return whether the configuration data that no search uses agree: the signs of KRL's T, the turns of Fanuc's axes."""
+    """Return whether the configuration data that no search uses agree: signs of KRL's T, turns of Fanuc's axes."""
     if visit.goal.turns is not None and visit.move.name.endswith("ptp"):
         signs = [bool(visit.goal.turns >> axis & 1) for axis in range(N_JOINTS)]
         return all((q < 0.0) == sign or abs(q) < 1e-3 for q, sign in zip(q_nominal, signs, strict=True))
@@ -445,7 +445,9 @@ def _selected(done: Correction, rows: NDArray[np.int_]) -> Correction:
 def _controller_frames(
     language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions, pair: ModelPair
 ) -> tuple[Frame, Frame]:
-    """Return the controller's base and flange in the frames of the calibration. Raises InputError if they are not specified.
+    """Return the controller's base and flange in the frames of the calibration.
+
+    Raises InputError if they are not specified.
 
     Without its mountings a robot still has the frames of its description. They are the controller's, whatever their
     names, only if it is no URDF.

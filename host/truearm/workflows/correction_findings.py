@@ -91,7 +91,7 @@ class Corrected(NamedTuple):
 def _expected_errors(
     calibration: Calibration, pair: ModelPair, q: Floats, tools: Floats
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Return the expanded uncertainty (n, 2) [m, rad] of tools (n, 4, 4) at readings q (n, j), relative to which frames.
+    """Return the expanded uncertainty (n, 2) [m, rad] of tools (n, 4, 4) at readings (n, j), and its frame.
 
     It is that of covariance and unexplained error, NaN if unknown. Errors in the poses of these frames ("base", "tool")
     are not part of it. Tools are relative to the flange of ``pair``.
@@ -301,8 +301,9 @@ def _in_its_quarter(angle: float) -> str:
 def configuration_notes(
     q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[str]
 ) -> Iterator[Finding]:
-    """Yield the arm configurations to check: those that only ``home`` determines, and those that contradict the
-    program's own data.
+    """Yield the arm configurations to check.
+
+    They are those that only ``home`` determines, and those that contradict the program's own data.
 
     ``determined`` (n,): the program determines the configuration.
     """

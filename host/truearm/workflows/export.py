@@ -83,7 +83,10 @@ class ExportedRobot(Displayed):
 
 
 def export_findings(form: str, fitted: FormatFit, is_default: bool = False) -> list[Finding]:
-    """Return what the file does not hold, and the resulting error; ``is_default``: it was refitted over random poses."""
+    """Return what the file does not hold, and the resulting error.
+
+    ``is_default``: it was refitted over random poses.
+    """
     values: dict[str, Any] = {"n": fitted.left.size, "largest": {"mm": float(MM.of(fitted.left.max()))}}
     for name in ("left", "dropped"):
         values[name] = {"mm": float(MM.of(rms(getattr(fitted, name))))}

@@ -36,7 +36,7 @@ BEST_FIRST = (ExitCode.DONE, ExitCode.UNUSABLE, ExitCode.INCOMPLETE, ExitCode.IN
 
 @dataclass(frozen=True)
 class Arm:
-    """The row of an arm: its folder, its verdict or error, mean errors [mm] where nothing was fitted, None if unknown."""
+    """The row of an arm: its folder, its verdict or error, mean errors [mm] where nothing was fitted, or None."""
 
     arm: str
     robot: str = ""

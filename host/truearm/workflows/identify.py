@@ -66,8 +66,8 @@ class IdentifyOptions(FitOptions, Checked):
     freeze : tuple of str
         Patterns of parameters to hold fixed.
     prior : str or None
-        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "where-needed": the weak one,
-        but only for parameters that the observations determine less accurately. None: chosen by robot and solver.
+        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "where-needed": the weak
+        one, but only for parameters that the observations determine less accurately. None: chosen by robot and solver.
     solver : str
         "lm", "map", "recursive", "renders-1991" or "ls".
     loss : str
@@ -77,20 +77,20 @@ class IdentifyOptions(FitOptions, Checked):
     seed : int
         Random seed for the rows of a held-out fraction; 0 or more.
     apply : tuple of str
-        Faults that the result shall contain, by the names in its findings; ``"mean"`` is the mean of all possible causes.
-        Those of rows and joints are estimated: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
-        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time,
-        ``"bar.b46.zero.thermal_drift"`` linear in the box's temperature, ``"joint1.backlash"``
-        in the direction of the joint's last move, and ``"joint1.settling"`` in proportion to it.
+        Faults that the result shall contain, by the names in its findings; ``"mean"`` is the mean of all possible
+        causes. Those of rows and joints are estimated: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183
+        on, ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time,
+        ``"bar.b46.zero.thermal_drift"`` linear in the box's temperature, ``"joint1.backlash"`` in the direction of the
+        joint's last move, and ``"joint1.settling"`` in proportion to it.
     fit_only : tuple of str
         Groups such as ``"place=front"``: only their rows are fitted, all others are used for judging.
     leave_out : tuple of str
-        Rows that are neither fitted nor used for judging, such as ``"120:140"`` (counted from 1 over all inputs, in a file
-        with times in their order) or ``"poses.csv row 100"`` (as messages and ``source`` name it).
+        Rows that are neither fitted nor used for judging, such as ``"120:140"`` (counted from 1 over all inputs, in a
+        file with times in their order) or ``"poses.csv row 100"`` (as messages and ``source`` name it).
     joint_laws : str
-        "none", "curve" (error curves of the joints), "sag" (joints that deflect under gravity) or "auto" (both, if geometry
-        and declared noise do not explain the residuals). Each law is included if the evidence in the fitted rows
-        supports it.
+        "none", "curve" (error curves of the joints), "sag" (joints that deflect under gravity) or "auto" (both, if
+        geometry and declared noise do not explain the residuals). Each law is included if the evidence in the fitted
+        rows supports it.
 
     Raises
     ------
@@ -250,7 +250,10 @@ def with_average(
 def rejudged(
     chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, effects: tuple[Effect, ...]
 ) -> Estimate:
-    """Return the estimate, which has ``effects``, with the errors of its held-out rows at its values; unchanged if none is."""
+    """Return the estimate, which has ``effects``, with the errors of its held-out rows at its values.
+
+    It is unchanged if no row is held out.
+    """
     held = ~(estimate.fitted | estimate.left_out)
     if not held.any():
         return estimate
@@ -266,7 +269,7 @@ def rejudged(
 
 
 def with_drawing(robot: Robot, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Estimate:
-    """Return the estimate with the held-out errors of the drawing, of a robot whose nominal values are its controller's.
+    """Return the estimate of a robot whose nominal values are its controller's, with the drawing's held-out errors.
 
     As for the nominal robot, base, tool and the rig's unknowns are fitted.
     """
@@ -310,9 +313,9 @@ def identified(
 ) -> Identification:
     """Identify a robot; ``hold_out``: the rows to judge by, as the user names them (``held_out_rows``, ``folds_of``).
 
-    A choice of frame and joints that do not move are held fixed, unless
-    their parameters were requested by name. Raises InputError for a pattern or group that matches nothing, and
-    ProblemError if observations and robot do not form a problem that can be solved.
+    A choice of frame and joints that do not move are held fixed, unless their parameters were requested by name. Raises
+    InputError for a pattern or group that matches nothing, and ProblemError if observations and robot do not form a
+    problem that can be solved.
     """
     chain, names, rig, table = robot.chain, robot.chain.parameter_names, observed.rigs, observed.table
     folds = selection.folds_of(table, hold_out, options.seed)
@@ -425,8 +428,9 @@ def write_page(
     recordings: Sequence[Recording] = (),
     certificate: Certificate | None = None,
 ) -> None:
-    """Write the page, completely or not at all; ``recordings`` are the sessions read. Raises InputError if it cannot be
-    written.
+    """Write the page, completely or not at all; ``recordings`` are the sessions read.
+
+    Raises InputError if it cannot be written.
     """
     from truearm.report.calibration_page import render
     from truearm.report.figures import rows_by_kind

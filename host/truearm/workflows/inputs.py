@@ -148,7 +148,7 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
 
 
 def completed_rigs(rigs: Rigs, table: ObservationTable) -> Rigs:
-    """Return the rig, or the rigs by name, with what a name "*" in it stands for, checked against the rows that refer to it.
+    """Return the rig, or the rigs by name, with what a name "*" in it stands for, checked against the rows.
 
     Raises InputError, TableError.
     """
@@ -328,7 +328,7 @@ Assigned = tuple[str, Rig]  # name, "" for the common rig, and the rig
 
 
 def session_name(path: Path) -> str:
-    """Return a session's name for use with rigs: its first file's name without the suffix, valid in a table's column."""
+    """Return a session's name for rigs: its first file's name without the suffix, valid in a table's column."""
     return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]
 
 

@@ -133,7 +133,7 @@ def _stream(stream: Any, survey: Survey) -> dict[str, Any]:
 
 
 def _silences(contents: Contents, survey: Survey) -> dict[str, Any]:
-    """Return the times when nothing came from the box, in seconds of the session, and the number of samples lost in them.
+    """Return the times when nothing came from the box [s of the session], and the number of samples lost in them.
 
     After a silence the indices of the samples tell what is missing: a computer that slept receives everything late.
     They do not where the box began again, or the silence never ended; then it is what the box would have taken.

@@ -50,8 +50,8 @@ class BallBarOptions(PoseOptions, Checked):
     Parameters
     ----------
     criterion : str
-        What the poses minimise: "I", the error in the region; "D", the volume of the uncertainty of all parameters; "A",
-        their mean uncertainty; "E", the uncertainty of the worst combination of parameters.
+        What the poses minimise: "I", the error in the region; "D", the volume of the uncertainty of all parameters;
+        "A", their mean uncertainty; "E", the uncertainty of the worst combination of parameters.
     region : Region, optional
         Where accuracy is required. Default: around the planned places of the spheres.
     candidates : int
@@ -206,7 +206,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
 
 
 def knowledge_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Knowledge:
-    """Return what is known before a plan: the design, or a result's robot, its estimates of the rig, and open questions."""
+    """Return what is known before a plan: the design, or a result's robot, its estimate of the rig, open questions."""
     params, values, deciding = robot.chain.params_nominal, {}, frozenset[str]()
     if result is not None:
         estimates = {parameter.name: parameter.value for parameter in result.stored.parameters}

@@ -103,7 +103,7 @@ def unused(path: Path) -> Path:
 def create(
     folder: Path, project: Project, first: FirstRig, sockets: SocketSeats | None, branch: Branch | None, minutes: float
 ) -> tuple[list[Path], dict[str, Any] | None, Finding | None]:
-    """Write truearm.toml, rig.toml and a first plan into a folder, or with ``sockets`` what they are made and noted with.
+    """Write truearm.toml, rig.toml and a first plan into a folder, or with ``sockets`` the files of printed ones.
 
     Returns the files, the forecast of the first plan, None if none was made, and what was read of the robot's
     controller, None if the address is not that of one.

@@ -1,5 +1,4 @@
-"""truearm.toml: the settings shared by the commands in a folder, so that they need not be typed
-(docs/how-to/project.md).
+"""truearm.toml: the settings that the commands in a folder share (docs/how-to/project.md).
 
 The file is searched for in the working folder and in its parent folders, as git does. Paths in it are relative to its
 folder. Every command reads it, even ``--help``, so this imports nothing slow.

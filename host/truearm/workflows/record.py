@@ -57,7 +57,10 @@ _SWITCH_INTERVAL_S = 2e-4
 
 @dataclass(frozen=True)
 class RecordingWork:
-    """What to record, read from files and checked for consistency; ``setup`` is stored for the parts that continue it."""
+    """What to record, read from files and checked for consistency.
+
+    ``setup`` is stored for the parts that continue it.
+    """
 
     out: Path
     robot: str | None
@@ -81,7 +84,10 @@ class Recorded:
 
 
 def record_request(request: RecordOptions, output: TextIO, say: Callable[[str], None]) -> Recorded:
-    """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``. Raises InputError, LinkError, IncompleteError."""
+    """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``.
+
+    Raises InputError, LinkError, IncompleteError.
+    """
     work = _work(request)
     for path in work.earlier_session.damaged if work.earlier_session else ():
         say(Finding("damaged-part", {"place": str(path), "copy": str(recovered_name(path))}).text(option))
@@ -153,7 +159,10 @@ def _record(device: str, work: RecordingWork, request: RecordOptions, output: Te
 
 
 def nearest_osr(rate: float) -> int:
-    """Return the oversampling ratio with the rate nearest to ``rate`` [Hz]. Raises InputError outside the box's rates."""
+    """Return the oversampling ratio with the rate nearest to ``rate`` [Hz].
+
+    Raises InputError outside the box's rates.
+    """
     slowest, fastest = MODULATOR_HZ / OSRS[-1], MODULATOR_HZ / OSRS[0]
     if not 0.9 * slowest <= rate <= 1.1 * fastest:
         raise InputError(Argument("rate"), f" {rate:g} Hz is not within the box's {slowest:.0f} to {fastest:.0f} Hz")

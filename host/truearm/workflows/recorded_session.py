@@ -119,8 +119,9 @@ def recovered_name(session: Path) -> Path:
 
 
 def with_parts(inputs: Sequence[Path]) -> list[Path]:
-    """Return inputs with the further parts of each session after it; parts also given keep their place. Raises
-    SessionError.
+    """Return inputs with the further parts of each session after it; parts also given keep their place.
+
+    Raises SessionError.
     """
     paths: list[Path] = []
     for path in inputs:
@@ -189,7 +190,9 @@ def gone_on(progress: SessionProgress, earlier_parts: Earlier) -> None:
 
 
 def open_finished(path: Path, allow_damaged: bool = False) -> Session:
-    """Open a session as ``open_session`` does, unless a recorder still writes it: it would be another one a moment later.
+    """Open a session as ``open_session`` does, unless a recorder still writes it.
+
+    It would be another one a moment later.
 
     Raises SessionError.
     """
@@ -280,7 +283,10 @@ def recorded_rig(session: Session, path: Path) -> Rig:
 
 
 def paired(session: Session, survey: Survey, rig: Rig | None = None) -> SyncResult:
-    """Return the observations of a survey, by the recorded rig if none is given. Raises InputError if there are none."""
+    """Return the observations of a survey, by the recorded rig if none is given.
+
+    Raises InputError if there are none.
+    """
     from truearm.session.observations import observations
 
     rig = rig or attached_rig(session, session.path)
@@ -292,7 +298,10 @@ def paired(session: Session, survey: Survey, rig: Rig | None = None) -> SyncResu
 
 
 def surveyed(session: Session, messages: Source | None = None) -> Survey:
-    """Return the survey of a session, or of other ``messages`` with what it recorded of box and host clock. Raises SessionError."""
+    """Return the survey of a session, or of other ``messages`` with what it recorded of box and host clock.
+
+    Raises SessionError.
+    """
     from truearm.session.clock import recorded_wander
     from truearm.session.frames import recorded_ident
     from truearm.session.observations import survey
@@ -397,8 +406,10 @@ def _tables(kind: str, paths: Sequence[Path], allow_damaged: bool) -> Iterator[t
 
 
 def _other_temperature(result: SyncResult, rig: Rig, place: str) -> Iterator[Finding]:
-    """Return the possible error of the lengths if the session was measured FAR from the box's temperature at which the
-    ball-bar's channel was calibrated, and rows lack the bar's temperature.
+    """Return the possible error of the lengths by temperature.
+
+    There is one if the session was measured FAR from the box's temperature at which the ball-bar's channel was
+    calibrated, and rows lack the bar's temperature.
     """
     table = result.table.select(result.table.kind == "ball_bar")
     streams = (stream for ident in result.survey.idents.values() for stream in ident.streams.values())

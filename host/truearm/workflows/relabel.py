@@ -76,7 +76,10 @@ def relabel(
 
 
 def _label(stop: Stop, trust: str | None, named: Pairing | None, likely: Pairing | None, p: float) -> DwellLabel:
-    """Return the label of a dwell, without a pairing if nothing settles it. ``likely``: by evidence, with probability ``p``."""
+    """Return the label of a dwell, without a pairing if nothing settles it.
+
+    ``likely``: by evidence, with probability ``p``.
+    """
     planned, typed = stop.planned, stop.confirmed
     plan = planned[0] if planned and (len(planned) == 1 or stop.dwell.reason) else None
     sure = likely if p >= SURE else None

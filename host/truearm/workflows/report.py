@@ -49,7 +49,7 @@ ALWAYS_EXCLUDED = (
 
 @step("repeating the identification")
 def report_files(result: Path, files: IdentifyFiles, out: Path, issue: Issue) -> page.Certificate:
-    """Repeat the fit as recorded in the result, check that the outcome is the same, write the page ``out``, and return its certificate.
+    """Repeat a result's fit, write the page ``out`` if the outcome is the same, and return its certificate.
 
     Of the given sessions and tables, only those used for the result are read; without any, they are looked for near the
     result and in the project. Raises InputError if the result does not record how it was made, or if the files are not
@@ -153,7 +153,10 @@ def _check_inputs(path: Path, stored: Result, hashes: set[str]) -> None:
 def _check_same(
     path: Path, value: np.ndarray[Any, np.dtype[np.float64]], identification: Identification, same_inputs: bool
 ) -> None:
-    """Raise InputError if the fit differs from the stored one; ``same_inputs``: nothing that was given can be the cause."""
+    """Raise InputError if the fit differs from the stored one.
+
+    ``same_inputs``: nothing that was given can be the cause.
+    """
     e, n = identification.estimate, min(len(value), len(identification.estimate.value))
     tolerance = SAME * np.where(np.isfinite(e.sigma), e.sigma, np.inf)[:n]
     differs = (np.abs(e.value[:n] - value[:n]) > tolerance) & (e.free & e.identifiable)[:n]
@@ -277,7 +280,10 @@ def _subject(calibration: Calibration, issue: Issue, recordings: Sequence[page.R
 
 
 def _tool_error(identification: Identification) -> float | None:
-    """Return the expanded uncertainty [m] of the measured point, from covariance and unexplained error; None if unknown."""
+    """Return the expanded uncertainty [m] of the measured point, from covariance and unexplained error.
+
+    None if unknown.
+    """
     e = identification.estimate
     if e.status != "converged" or e.unusable:
         return None
@@ -292,7 +298,10 @@ def _tool_error(identification: Identification) -> float | None:
 def _decision(
     tolerance: float | None, judged: Mapping[str, float | None], problem: str | None, reused: bool = False, **rows: Any
 ) -> Finding:
-    """Return whether the ``error`` [m] among the ``judged`` is within the tolerance; the others are what it is the larger of."""
+    """Return the decision: whether the ``error`` [m] among the ``judged`` is within the tolerance, if that is decided.
+
+    The error is the larger of the others.
+    """
     if problem:
         return Finding("calibration-unusable", {"because": problem})
     error = judged["error"]
@@ -318,7 +327,7 @@ def _figures_text(figures: Figures, si: str) -> str:
 
 
 def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[page.Recording]) -> page.Facts:
-    """Return the sensors and the parts of the rig that the rows were measured against, with their declared uncertainties."""
+    """Return the sensors and parts of the rig that the rows were measured with, and their declared uncertainties."""
     facts: list[tuple[str, str]] = []
     for rig in rigs_by_name(rigs).values():
         bars = [rig.bars[name] for name in rig.bars if name in table.bar]

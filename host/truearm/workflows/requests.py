@@ -35,8 +35,8 @@ class FitOptions:
     Options
     -------
     apply : mean|NAME[@FIRST[:LAST]]
-        Put a fault into the result that the output names: mean, the mean of its possible causes, or one of them, such as
-        bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs), joint2@91:270,
+        Put a fault into the result that the output names: mean, the mean of its possible causes, or one of them, such
+        as bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs), joint2@91:270,
         bar.bar46.zero.drift or .thermal_drift, joint1.backlash or .settling (repeatable).
     leave_out : ROWS
         Rows to leave out completely: 120:140, counted from 1 over all inputs, or a row as messages name it, such as
@@ -54,9 +54,9 @@ class FitOptions:
     freeze : PATTERN
         Hold parameters that match at their nominal values (repeatable).
     prior
-        Prior about the nominal values. weak: sigma of {weak}. wide: {wide}. where-needed: like
-        weak, but for weakly identifiable parameters only. Default for a URDF: weak. Default for other robots:
-        where-needed; wide with --solver map, none with renders-1991. The solver ls uses no prior.
+        Prior about the nominal values. weak: sigma of {weak}. wide: {wide}. where-needed: like weak, but for weakly
+        identifiable parameters only. Default for a URDF: weak. Default for other robots: where-needed; wide with
+        --solver map, none with renders-1991. The solver ls uses no prior.
     solver
         {solvers}.
     loss
@@ -111,7 +111,7 @@ class PlanFiles:
 
 @dataclass(frozen=True)
 class FirstRig:
-    """A project's first rig: its chucks and spheres, the lengths of its bars [m], and what these are measured with (None: not asked yet)."""
+    """A project's first rig: its chucks and spheres, its bars' lengths [m], what measures them (None: not asked)."""
 
     chucks: Annotated[int, Within(1, 9)] = 3  # more than a table or a flange has room for
     spheres: Annotated[int, Within(1, 9)] = 3
@@ -121,7 +121,7 @@ class FirstRig:
 
 @dataclass(frozen=True)
 class SocketSeats:
-    """Seats in printed sockets to plan: the ball's diameter, its centre on the end, the height of the table in the base frame [m]."""
+    """Seats in printed sockets to plan [m]: the ball's diameter, its centre on the end, the table's z in the base."""
 
     ball: Annotated[float, Within(0.004, 0.1)] = 0.02
     ball_xyz: tuple[float, float, float] = (0.0, 0.0, 0.1)
@@ -238,7 +238,10 @@ class ExportSession:
 
 @dataclass(frozen=True)
 class UsedResult:
-    """A result that a command uses for a robot with a payload, also one that is not usable, and whether it replaces files."""
+    """A result that a command uses for a robot with a payload.
+
+    Says whether one that is not usable will do, and whether files are replaced.
+    """
 
     result: Path
     _: KW_ONLY

@@ -122,7 +122,9 @@ def _scene(
 def _residual_vectors(
     identification: Identification, table: ObservationTable, judged: Judgement, places: Floats
 ) -> Floats:
-    """Return the smallest displacements (n, 3) of the measured points that the lengths' residuals are; NaN for rows without any.
+    """Return the smallest displacements (n, 3) of the measured points that the lengths' residuals are.
+
+    NaN for rows without any.
 
     Rows depend on the joints only by the point that they measure, so ∂(row)/∂(point) follows from ∂(row)/∂q.
     """
@@ -145,7 +147,9 @@ def _identified(judged: Judgement, stem: str, start: Floats) -> Floats:
 
 
 def _fixtures(rig: Rigs, judged: Judgement) -> dict[str, Floats]:
-    """Return chucks and sockets by name: points (3,) [m] in the base frame, as estimated where the rig does not know them."""
+    """Return chucks and sockets by name: points (3,) [m] in the base frame, as estimated where the rig does not know
+    them.
+    """
     chucks = {}
     for name, entries in rigs_by_name(rig).items():
         prefix = f"{name}." if name else ""

@@ -188,8 +188,9 @@ def free_parameters(
 
 
 def matching(names: Sequence[str], argument: str, patterns: Sequence[str]) -> Mask:
-    """Return a mask (p,) of the names that match one of an argument's patterns. Raises InputError if a pattern matches
-    nothing.
+    """Return a mask (p,) of the names that match one of an argument's patterns.
+
+    Raises InputError if a pattern matches nothing.
     """
     mask = np.zeros(len(names), dtype=bool)
     # a joint of a URDF may have a comma in its name
@@ -269,7 +270,9 @@ LEFT = 0.5  # at least this share of the rows of each combination
 
 
 def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> dict[str, Any] | None:
-    """Return the first share of the rows that leaves enough of everything to fit, as JSON; None if there are too few poses.
+    """Return the first share of the rows that leaves enough of everything to fit, as JSON.
+
+    None if there are too few poses.
 
     It is drawn by ``seed``, holds out ``rows`` rows, and leaves at least half of each of the ``combinations`` of names.
     ``unused`` (n,) are rows that are not judged, such as copies.
@@ -287,15 +290,13 @@ def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> di
 
 
 def last_of_each(plan: Plan) -> list[str]:
-    """Return the last bar and the last line of a plan, to hold out; a fifth of the poses if it has one of each at most."""
+    """Return the last bar and line of a plan, to hold out; a fifth of the poses if it has one of each at most."""
     names = {column: [name for name in np.unique(getattr(plan, column)).tolist() if name] for column in ("bar", "line")}
     return [f"{column}={names[-1]}" for column, names in names.items() if len(names) > 1] or ["0.2"]
 
 
 def named_columns(table: ObservationTable) -> list[str]:
-    """Return the columns that name what is mounted, as far as rows have names: bar, chuck and sphere, or socket and
-    target.
-    """
+    """Return the filled columns that name what is mounted: bar, chuck, sphere, or socket, target."""
     return [name for name in identifiers() if name not in ANYWHERE[1:] and np.any(table[name] != "")]
 
 

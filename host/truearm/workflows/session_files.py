@@ -1,4 +1,4 @@
-"""Write a session to other files: recovered, with joint readings recorded elsewhere, or as tables (``truearm session``).
+"""Write a session to other files: recovered, with joint readings from elsewhere, or as tables.
 
 Tables are written in batches: CSV, NumPy's .npz, Parquet. Numbers are stored bit for bit. All are written as Parquet
 first, and converted when the table ends. Memory holds one batch.
@@ -173,7 +173,10 @@ def _export(
 
 
 def _tables(session: Session, survey: Survey, rig: Rig | None, units: Sequence[str]) -> Iterator[tuple[str, Columns]]:
-    """Yield the name and the columns of each part of a table; last dwells, passes along lines, and, with a rig, observations."""
+    """Yield the name and the columns of each part of a table.
+
+    The last are dwells, passes along lines, and, with a rig, observations.
+    """
     yield from tabulate(survey, units)
     plan = plan_columns(survey, units)
     if plan is not None:

@@ -256,7 +256,10 @@ def visits(options: SimulateOptions, robot: Robot) -> tuple[Plan, Rig]:
 
 
 def hardware(level: str, say: Say, *, fast: bool = False) -> Hardware:
-    """Return what runs as the box, and report it. Raises LinkError, InputError if emulator or MicroPython cannot be used."""
+    """Return what runs as the box, and report it.
+
+    Raises LinkError, InputError if emulator or MicroPython cannot be used.
+    """
     if level == "chip":
         node.ready()
         say(f"firmware: {node.image()} in an emulated RP2040")

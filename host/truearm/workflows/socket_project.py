@@ -1,4 +1,4 @@
-"""The files of a project that measures with printed sockets (docs/tutorials/sockets.md), and joints of seats from a log.
+"""The files of a project with printed sockets (docs/tutorials/sockets.md), and joints of seats from a log.
 
 The arm rests in the sockets in the order of the rows of the table of seats.
 """
@@ -60,7 +60,7 @@ PER_REST = 20  # readings that are looked at in the shortest rest
 
 
 def plan_sockets(robot: Robot, request: SocketSeats, name: str) -> tuple[dict[str, str | bytes], dict[str, Any]]:
-    """Plan seats in printed sockets: the files by name (rig, plan, table to fill in, block, drawing), and the forecast as JSON.
+    """Plan seats in printed sockets: files by name (rig, plan, table, block, drawing), and the forecast as JSON.
 
     Raises PlanError.
 
@@ -115,7 +115,7 @@ def plan_sockets(robot: Robot, request: SocketSeats, name: str) -> tuple[dict[st
 
 
 def _within_tolerances(knowledge: Knowledge) -> Knowledge:
-    """Return an arm as its drawing allows: of one with exactly parallel axes, less is identifiable than of a real one."""
+    """Return an arm as its drawing allows: with exactly parallel axes, less is identifiable than of a real one."""
     tolerance = knowledge.free * weak_prior(knowledge.chain)
     return replace(
         knowledge, params=knowledge.params + tolerance * np.random.default_rng(0).normal(size=tolerance.size)
@@ -131,7 +131,7 @@ def _tables(sites: list[Site]) -> list[ObservationTable]:
 
 
 def _between_places(knowledge: Knowledge, tables: list[ObservationTable]) -> float:
-    """Return the largest RMS error [m] of a place apart from its own pose, if the others are fitted; inf if undetermined."""
+    """Return the largest RMS error [m] of a place in a fit of the others, but for its pose; inf if undetermined."""
     errors = []
     for i, table in enumerate(tables):
         other_tables = ObservationTable.joined([*tables[:i], *tables[i + 1 :]])
@@ -140,7 +140,10 @@ def _between_places(knowledge: Knowledge, tables: list[ObservationTable]) -> flo
 
 
 def seats_noted(path: Path) -> dict[str, Any]:
-    """Return the rows of a table of seats, those with joints, and its last place. Raises InputError for another file."""
+    """Return the rows of a table of seats, those with joints, and its last place.
+
+    Raises InputError for another file.
+    """
     header, rows = read_cells(read_text(path, MAX_BYTES, InputError), str(path))
     joints = [index for index, title in enumerate(header) if title.startswith("q")]
     noted = sum(all(row.cells[index] for index in joints) for row in rows)

@@ -297,7 +297,7 @@ class RowErrors(NamedTuple):
 
     @property
     def explained(self) -> Floats:
-        """Return the squares (n,) expected from declared noise and the parameters' covariance, NaN where not ``observed``."""
+        """Return the squares (n,) expected from declared noise and the covariance, NaN where not ``observed``."""
         return np.where(self.observed, self.due.by_noise + self.due.by_parameters, np.nan)
 
     @property
@@ -358,7 +358,7 @@ def _root_mean(square: Floats) -> float:
 
 
 def _reference(document: Mapping[str, Any], si: str) -> float | None:
-    """Return the calibration's RMS, for display, on rows to which it was not fitted, or else on those to which it was."""
+    """Return the calibration's RMS, for display, on rows to which it was not fitted, else on those to which it was."""
     held_out, value = document["held_out"], document.get(key("rms_after", si))
     return value if held_out is None else held_out.get(key("rms", si))
 
@@ -374,9 +374,7 @@ def _named_regions(calibration: Calibration, table: ObservationTable) -> list[tu
 
 
 def _quarters(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
-    """Return near and far, low and high: halves by the distance of the end from the base frame's z axis, and by its
-    height.
-    """
+    """Return near and far, low and high: halves by the end's distance from the base's z axis, and by its height."""
     p = forward(calibration.chain, calibration.identified, table.q)[:, :3, 3]
     reach = np.hypot(p[:, 0], p[:, 1])
     outer, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])

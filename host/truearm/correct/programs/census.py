@@ -80,7 +80,9 @@ class Census:
                     waiting += self.uses(move)
 
     def settle(self, goal_poses: dict[Goal, Floats]) -> None:
-        """Choose the new pose of each literal; ``goal_poses``: the pose (4, 4) in its frame of each goal that is a pose.
+        """Choose the new pose of each literal.
+
+        ``goal_poses``: the pose (4, 4) in its frame of each goal that is a pose.
 
         Where moves want different numbers of one literal, those that differ from the first get numbers of their own.
         """

@@ -48,7 +48,8 @@ def changes_of(
 ) -> list[Replacement]:
     """Return the changes of the text that a census settled on.
 
-    ``goal_poses``: the poses (4, 4) in their frames of goals that are poses. ``correct_joints``: joint readings change too.
+    ``goal_poses``: the poses (4, 4) in their frames of goals that are poses. ``correct_joints``: joint readings change
+    too.
     """
     due = due_numbers(census, goal_poses, correct_joints)
     posed = [(goal.target.literal, pose) for goal, pose, _ in due.values() if pose is not None]

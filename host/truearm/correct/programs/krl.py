@@ -48,7 +48,7 @@ PLAIN = re.compile(r"(?:[-+] )?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")  # a numbe
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """The tokens of a line with their texts, in a routine ("" if in none) of a module, whose names are the first block."""
+    """The tokens of a line with their texts, in a routine ("" if in none) of a module, whose names are block 0."""
 
     tokens: Tokens
     texts: Sequence[str]
@@ -78,7 +78,10 @@ Modules = dict[str, dict[str, Datum]]
 
 
 def _lines(files: Sequence[Source], modules: Modules) -> Iterator[Line]:
-    """Yield the lines that are not empty of all files but bas.src, KUKA's own: what its routines do is known by their names."""
+    """Yield the lines that are not empty of all files but bas.src.
+
+    That file is KUKA's own: what its routines do is known by their names.
+    """
     for number, source in enumerate(files):
         module = source.name.lower().replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
         scope = Scope(number, (modules[module], modules[""]))
@@ -104,7 +107,8 @@ def _indexed(tokens: Tokens, index: int) -> tuple[str, int]:
 class _Reader(Reading):
     """Data of all files, by module, "" for those that all see; an array is one datum.
 
-    ``values``: what is assigned to each datum, by the index of an array's element. ``is_stationary``: some moves are those of a work object to a tool that stands still.
+    ``values``: what is assigned to each datum, by the index of an array's element. ``is_stationary``: some moves are
+    those of a work object to a tool that stands still.
     """
 
     lines: list[Line] = field(default_factory=list)
@@ -190,7 +194,7 @@ class _Reader(Reading):
                     changes.append(Change(place, "argument", caller))
 
     def note_displacement(self) -> None:
-        """Note a line that moves all frames, or lets a routine set some at any time, as an interrupt or trigger does."""
+        """Note a line that moves all frames, or lets a routine set some at any time, as by an interrupt or trigger."""
         callers: dict[str, set[str]] = defaultdict(set)
         for line in self.lines:
             for routine in self.routines.intersection(line.texts):

@@ -1,4 +1,4 @@
-"""The languages of robot programs: the suffixes of their files, which files run together, and their controllers' frames.
+"""The languages of robot programs: suffixes of files, which files run together, and their controllers' frames.
 
 Universal Robots' controllers express poses in ``base``, rotated by half a turn about z from ur_description's
 ``base_link``; their flange is ``tool0``. ABB's controllers use the base frame, ROS-Industrial's ``base`` or

@@ -54,7 +54,8 @@ def preceding(
     """Return, for every entry of ``steps``, which entries that count may be the last before it.
 
     None among them: it is unknown, as where a routine begins, or after a call. More than ``limit`` are unknown too.
-    ``linked``: what came before these entries is what comes before all after this one, such as the ends of a routine that it calls.
+    ``linked``: what came before these entries is what comes before all after this one, such as the ends of a routine
+    that it calls.
     """
     places: dict[T, list[int]] = defaultdict(list)
     for index, step in enumerate(steps):

@@ -166,8 +166,8 @@ class Move:
 class Step(StrEnum):
     """What stands between moves, in the order of the text.
 
-    ``ELSE`` is a branch that runs if no other does, ``REPEAT`` a loop that runs at least once. ``END`` ends a routine, a
-    choice or a loop. ``LEAVE`` leaves or repeats the innermost loop. A ``CALL`` may move the robot elsewhere.
+    ``ELSE`` is a branch that runs if no other does, ``REPEAT`` a loop that runs at least once. ``END`` ends a routine,
+    a choice or a loop. ``LEAVE`` leaves or repeats the innermost loop. A ``CALL`` may move the robot elsewhere.
     """
 
     ROUTINE = "routine"
@@ -186,9 +186,10 @@ class Program:
     """The files that run together.
 
     ``steps``: moves and the structure around them, in the order of the text (``order.py``). ``absent``: routines that
-    none of the files defines. ``origins``: the moves from which each may come, where the steps do not show it. ``harmless``: uses of data that a correction may change, such as joints near a target.
-    ``needed_frames``: the names of tools and work objects that moves need from outside of the files, "" for a tool without a name.
-    ``texts``: texts that contain moves.
+    none of the files defines. ``origins``: the moves from which each may come, where the steps do not show it.
+    ``harmless``: uses of data that a correction may change, such as joints near a target. ``needed_frames``: the names
+    of tools and work objects that moves need from outside of the files, "" for a tool without a name. ``texts``: texts
+    that contain moves.
     """
 
     language: str

@@ -1,4 +1,4 @@
-"""The moves of a RAPID task, each with its targets, tool and work object, and everything that uses or may change a datum.
+"""The moves of a RAPID task, each with targets, tool and work object, and all that uses or may change a datum.
 
 The modules are read together, and nothing is followed: a name has all values that are assigned to it, in any order.
 """

@@ -1,5 +1,7 @@
-"""What the readers of all languages share: the words of a language, reasons, values that are computed once, sums of
-constants, moves with their goals, poses of literals, and the numbers that a literal needs for a pose.
+"""What the readers of all languages share.
+
+The words of a language, reasons, values that are computed once, sums of constants, moves with their goals, poses of
+literals, and the numbers that a literal needs for a pose.
 """
 
 from __future__ import annotations
@@ -199,7 +201,10 @@ def matrix_of_angles(x: float, y: float, z: float, a: float, b: float, c: float)
 
 
 def matrix_of_quaternion(xyz: Sequence[float], quaternion: Sequence[float]) -> Floats:
-    """Return the pose (4, 4) at xyz [mm], rotated by a quaternion, scalar first. Raises Uncertain if it is no unit one."""
+    """Return the pose (4, 4) at xyz [mm], rotated by a quaternion, scalar first.
+
+    Raises Uncertain if it is no unit one.
+    """
     check_quaternion(quaternion)
     return np.asarray(_poses(Form.ROBTARGET, np.array([[*xyz, *quaternion]]))[0])
 

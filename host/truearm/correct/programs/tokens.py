@@ -19,7 +19,10 @@ DEPTH = {**dict.fromkeys("([{", 1), **dict.fromkeys(")]}", -1)}
 
 
 class Token(NamedTuple):
-    """A word, number, text, sign, newline or row of numbers ([1,2,3] in RAPID and URScript) with its bytes. Words of RAPID and KRL are in lower case."""
+    """A word, number, text, sign, newline or row of numbers ([1,2,3] in RAPID and URScript) with its bytes.
+
+    Words of RAPID and KRL are in lower case.
+    """
 
     kind: str
     text: str

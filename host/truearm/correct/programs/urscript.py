@@ -73,7 +73,7 @@ FAMILIES = re.compile(  # what neither moves the robot nor sets its tool, like t
 
 @dataclass(eq=False)
 class Routine:
-    """A function or thread (``kind``), the function or file in which it is defined, and the scope with its parameters."""
+    """A function or thread (``kind``), the function or file that defines it, and the scope with its parameters."""
 
     name: str
     kind: str
@@ -169,7 +169,10 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
 
 
 def _lines(tokens: Sequence[Token]) -> Iterator[list[Token]]:
-    """Yield statements. A line goes on while a bracket is open and after ``and`` or ``or``; a header ends at its colon."""
+    """Yield statements.
+
+    A line goes on while a bracket is open and after ``and`` or ``or``; a header ends at its colon.
+    """
     line: list[Token] = []
     depth = 0
     for token in tokens:
@@ -307,8 +310,8 @@ def _note_uses(script: Script, tokens: Tokens, scope: Scope) -> None:
 class Value(NamedTuple):
     """What an argument may be.
 
-    Poses that ``get_inverse_kin`` turns into joint readings have the ``tool`` in force there, its ``near``, and the bytes
-    (``span``) of its argument, unless a name has the joint readings.
+    Poses that ``get_inverse_kin`` turns into joint readings have the ``tool`` in force there, its ``near``, and the
+    bytes (``span``) of its argument, unless a name has the joint readings.
     """
 
     target: Target
@@ -322,7 +325,10 @@ class Value(NamedTuple):
         return self.target.literal.form.is_joints
 
     def pose(self) -> Floats:
-        """Return the pose (4, 4) that it is. Raises Uncertain for a list without p, which no controller takes for one."""
+        """Return the pose (4, 4) that it is.
+
+        Raises Uncertain for a list without p, which no controller takes for one.
+        """
         if self.is_joints:
             raise Uncertain("type", type="pose")
         return np.asarray(self.target.left @ poses_of([self.target.literal])[0] @ self.target.right)

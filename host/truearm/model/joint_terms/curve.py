@@ -89,7 +89,10 @@ class Curve(Term):
         return out[:-1]
 
     def mean_by_parameters(self, q: Floats) -> Floats:
-        """Return the mean (k,) of ``by_parameters`` over readings q (j, n); with many, that would be hundreds of megabytes."""
+        """Return the mean (k,) of ``by_parameters`` over readings q (j, n).
+
+        For many readings, ``by_parameters`` would take hundreds of megabytes.
+        """
         out = np.zeros(self.parameters.size + 1)
         for indices, weights in self._weights(q):
             out += np.bincount(indices.ravel(), weights.ravel(), out.size)

@@ -70,7 +70,7 @@ class Term(ABC):
 
     @abstractmethod
     def by_joints(self, params: Floats, q: Floats) -> Floats:
-        """Return ∂value/∂q: (j, n) or (j, 1) if each joint's value depends only on its own reading, otherwise (j, j, n)."""
+        """Return ∂value/∂q: (j, n) or (j, 1) if each joint's value depends on its own reading only, else (j, j, n)."""
 
     @abstractmethod
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
@@ -128,7 +128,7 @@ class NominalArm:
         self._offset, self._gain = Offset.of_chain(structure), Gain.of_chain(structure)
 
     def frames(self, q: Floats) -> list[Floats]:
-        """Return frames (n, 4, 4) in the base frame at readings q (j, n): each joint's after its motion, then the end."""
+        """Return frames (n, 4, 4) in the base frame at readings q (j, n): each joint's once moved, then the end's."""
         angles = self._offset.value(self._params, q) + self._gain.value(self._params, q)
         return far_frames(self._links, self.motions, angles.T)
 

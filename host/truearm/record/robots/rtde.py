@@ -32,8 +32,8 @@ from truearm.session.joint_format import MAX_T_S, format_reading
 # ------------------------------------------------------------------------------------------------------------- packages
 #
 # Protocol version 2, based on the manufacturer's public description: "Real-Time Data Exchange (RTDE) Guide",
-# docs.universal-robots.com. Everything is big-endian. A package consists of its size [2 bytes, including these three], its
-# type [1 byte, a letter] and a payload:
+# docs.universal-robots.com. Everything is big-endian. A package consists of its size [2 bytes, including these three],
+# its type [1 byte, a letter] and a payload:
 #
 #     letter  client → controller                          controller → client
 #     V       version (2 bytes)                            accepted (1 byte)
@@ -41,7 +41,7 @@ from truearm.session.joint_format import MAX_T_S, format_reading
 #     O       frequency [Hz] (double), names with commas   recipe (1 byte; 0: not accepted), types with commas
 #     S, P    –                                            accepted (1 byte)
 #     U                                                    recipe (1 byte), the values in the order of the names
-#     M                                                    length (1 byte), text, length (1 byte), source, level (1 byte)
+#     M                                                    length (1 byte), text, length (1), source, level (1 byte)
 #
 # S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND.
 
@@ -78,8 +78,7 @@ def request_outputs(names: Sequence[str], frequency_hz: float) -> bytes:
 
 
 class Packages:
-    """Splits bytes that arrive in arbitrary pieces into packages ``(type, payload)``; holds less than 64 kB and one
-    piece.
+    """Splits bytes that arrive in any pieces into packages ``(type, payload)``; holds less than 64 kB and a piece.
 
     A size below 3 is invalid. The bytes from there on are returned as BROKEN, then nothing more, and ``broken`` is
     true.
@@ -271,7 +270,8 @@ class RtdeLink(LinkOnTop):
     def _line(self, kind: int, payload: bytes) -> bytes:
         """Return a reading, or a line with the type and payload of any other package, byte by byte (Latin-1).
 
-        The recorder keeps the latter in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per second.
+        The recorder keeps the latter in ``/robot/console``. A package with all fields takes about 5 µs, at 500 per
+        second.
         """
         values = self._recipe.values(payload) if kind == DATA and self._recipe is not None else None
         # JSON has no others
@@ -308,9 +308,9 @@ ROBOT_STATE, KINEMATICS = b"\x10", 5
 def kinematics_info(url: str) -> bytes:
     """Return the content of KinematicsInfo of the controller at ``rtde://host``. Raises InputError, LinkError.
 
-    The controller sends packages (size int32, type uint8, content). Packages of type 16 contain sub-packages (size uint32,
-    type uint8, content). The first package after a connection contains the sub-package KinematicsInfo, type 5. Nothing is
-    sent to the controller.
+    The controller sends packages (size int32, type uint8, content). Packages of type 16 contain sub-packages (size
+    uint32, type uint8, content). The first package after a connection contains the sub-package KinematicsInfo, type 5.
+    Nothing is sent to the controller.
     """
     host, _, _ = address_of(url)
     wrong = LinkError(

@@ -30,7 +30,10 @@ class AddedReading(NamedTuple):
 
 
 class SourceEntry(NamedTuple):
-    """A live source: its module (".module" is one of this package), the part of an address after the scheme, and what sends such readings."""
+    """A live source: its module, the part of an address after the scheme, and what sends such readings.
+
+    ".module" is one of this package.
+    """
 
     module: str
     example: str

@@ -1,4 +1,6 @@
-"""Joint readings as text: tables (CSV), and lines of CSV or JSON over TCP or UDP, for robots that can print their joints.
+"""Joint readings as text, for robots that can print their joints.
+
+These are tables (CSV), and lines of CSV or JSON over TCP or UDP.
 
 ::
 
@@ -7,9 +9,9 @@
     lines+tcp://192.168.0.2:7008?unit=deg&t=stamp&q=positions          JSON with names and units of its own
     lines+udp://0.0.0.0:7008?columns=t_ms,q1_deg,q2_deg                CSV without a header
 
-Column titles in a header end in the unit: ``t_s`` (or _ms, _us, _ns) is the controller's time, ``q1_rad`` (_deg, _m, _mm) …
-are the measured joints. Optional columns are ``q1_cmd_rad`` … commanded joints, ``qd1_rad_s`` … velocities, ``seq`` a count
-of the readings, and ``inputs`` digital inputs as a number. ``note`` and ``x_…`` are skipped.
+Column titles in a header end in the unit: ``t_s`` (or _ms, _us, _ns) is the controller's time, ``q1_rad`` (_deg, _m,
+_mm) … are the measured joints. Optional columns are ``q1_cmd_rad`` … commanded joints, ``qd1_rad_s`` … velocities,
+``seq`` a count of the readings, and ``inputs`` digital inputs as a number. ``note`` and ``x_…`` are skipped.
 """
 
 from __future__ import annotations
@@ -65,8 +67,8 @@ Name = str | tuple[str, ...]
 class Names:
     """The names and units in a robot's rows.
 
-    ``keys``: the key of a quantity, or the keys of its joints. ``scale``: factors of a quantity to SI, one for all joints or
-    one each. Time is divided by ``t_per_second``.
+    ``keys``: the key of a quantity, or the keys of its joints. ``scale``: factors of a quantity to SI, one for all
+    joints or one each. Time is divided by ``t_per_second``.
     """
 
     keys: Mapping[str, Name] = field(default_factory=dict)
@@ -82,7 +84,10 @@ class Names:
         return format_reading(t / self.t_per_second, seq, q, **values, **entries)
 
     def _value(self, row: Mapping[str, Any], quantity: str) -> Any:
-        """Return a value of a row, joints in SI; None if it is invalid, or the number of joints is not that of the units."""
+        """Return a value of a row, joints in SI.
+
+        None if it is invalid, or the number of joints is not that of the units.
+        """
         key = self.keys.get(quantity, quantity)
         value = row.get(key) if isinstance(key, str) else [row.get(name) for name in key]
         if value is None or quantity in ("t", "seq"):
@@ -97,7 +102,7 @@ class Names:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a table with ``width`` cells per row: those that are read by their titles, to which ``names`` refers."""
+    """The columns of a table with ``width`` cells per row that are read, by their titles; ``names`` refers to these."""
 
     width: int
     read: Sequence[Column]
@@ -129,7 +134,7 @@ SEPARATORS = ",;\t"
 
 
 def separator_of(header: str) -> str:
-    """Return the delimiter of a table with this header: the most frequent one of comma, semicolon and tab, else a space."""
+    """Return the delimiter of a table with this header: the commonest of comma, semicolon and tab, else a space."""
     separator = max(SEPARATORS, key=header.count)
     return separator if separator in header or " " not in header.strip() else " "
 
@@ -207,8 +212,8 @@ NO_ARRIVAL = {"arrival": False}  # in every such line: its arrival was not obser
 def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     """Yield the readings of a table that a robot or its logger wrote, in order of time.
 
-    It is read row by row: a day at 500 Hz is 43 million rows. Raises TableError with file and row, InputError if joints are
-    named.
+    It is read row by row: a day at 500 Hz is 43 million rows. Raises TableError with file and row, InputError if joints
+    are named.
     """
     if options.joints:
         arguments = Argument("joints"), " and ", Argument("model")
@@ -246,8 +251,9 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
 
 
 def _one_space(line: str) -> str:
-    """Return a line of columns that are aligned with spaces, with one space between them; a "#" before a header is left
-    out.
+    """Return a line of columns that are aligned with spaces, with one space between them.
+
+    A "#" before a header is left out.
     """
     return " ".join(line.removeprefix("#").split()) + "\n"
 
@@ -295,10 +301,11 @@ def read_names(declaration: Mapping[str, Any], names: Names) -> Names:
 class LineDialect:
     """Converts a robot's lines to a session's lines. ``specified``: by the address.
 
-    A line that begins with ``{`` is JSON, others CSV. **CSV** begins with a header (``columns``), unless the address gives
-    one. **JSON** follows docs/reference/session-format.md, or the names and units in the address or in a line before the
-    readings, such as ``{"names": {"t": "stamp", "q": ["j1", "j2"]}, "unit": "deg", "t_unit": "ms"}``. ``q`` is the name of
-    a list, or a list of the joints' names. ``unit`` is one for all joints or one for each (``deg,deg,mm``).
+    A line that begins with ``{`` is JSON, others CSV. **CSV** begins with a header (``columns``), unless the address
+    gives one. **JSON** follows docs/reference/session-format.md, or the names and units in the address or in a line
+    before the readings, such as ``{"names": {"t": "stamp", "q": ["j1", "j2"]}, "unit": "deg", "t_unit": "ms"}``. ``q``
+    is the name of a list, or a list of the joints' names. ``unit`` is one for all joints or one for each
+    (``deg,deg,mm``).
 
     A line in the session format is stored as received. Any other reading is stored with its numbers in SI and, under
     ``line``, in its original form.
@@ -396,10 +403,10 @@ class LinesLink(LinkOnTop):
 class DatagramLines(LinesLink):
     """The lines of a robot's datagrams.
 
-    The robot is the address that sent the first reading, from any port: a restarted program gets another one. What other
-    addresses send is counted and dropped. After ``SILENCE_S`` without a reading, another address that sends one takes
-    over: LinkError is raised, and a link opened after it begins anew. While there is no robot, whatever is no reading
-    is passed on, a header that is not understood too: anybody can send one.
+    The robot is the address that sent the first reading, from any port: a restarted program gets another one. What
+    other addresses send is counted and dropped. After ``SILENCE_S`` without a reading, another address that sends one
+    takes over: LinkError is raised, and a link opened after it begins anew. While there is no robot, whatever is no
+    reading is passed on, a header that is not understood too: anybody can send one.
     """
 
     _robot: str | None = None
