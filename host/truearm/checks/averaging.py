@@ -255,7 +255,7 @@ def folded_blocks(
 def reweighed(
     average: Average, design: Design, columns: Sequence[Sequence[Floats]], loadings: Sequence[Sequence[Floats]]
 ) -> tuple[tuple[Choice, ...], ...]:
-    """Return the choices of each finding with their ``columns`` and ``loadings`` of all rows, and the first of others.
+    """Return the choices with their ``columns`` and ``loadings`` of all rows, beside the first of other findings.
 
     Under noise that rows share, probabilities and uncertainty stay those that examined rows give.
     """

@@ -63,9 +63,9 @@ class Candidates(NamedTuple):
         return np.asarray(self.profiles[last] - self.profiles[first])
 
     def products(self, columns: Floats, row: Indices, vectors: Floats, power: int = 1) -> Floats:
-        """Return (columns · profile)ᵀ ``vectors`` (p, d, x) for ``columns`` (m, d) of each ``row`` (m,).
+        """Return (columns · profile ** power)ᵀ vectors (p, d, x) for each of the p profiles.
 
-        The profile is taken to a ``power``.
+        ``columns`` (m, d) and ``vectors`` (m, x) are those of m residuals, ``row`` (m,) has the row of each.
         """
         if self.pairs is None:
             return np.stack([(columns * profile[row, None] ** power).T @ vectors for profile in self.profiles])

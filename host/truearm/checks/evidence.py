@@ -137,10 +137,10 @@ class Weighed(NamedTuple):
 
 
 class BesideParameters(NamedTuple):
-    """CᵀC (h, c, d + f, d + f) of candidates and nuisance beside the parameters; trace (h, c, 1) of the d before."""
+    """CᵀC of the c candidates of h hypotheses, and of their nuisance, beside what the parameters follow."""
 
-    square: Floats
-    size: Floats
+    square: Floats  # (h, c, d + f, d + f)
+    size: Floats  # (h, c, 1) trace of CᵀC over the d columns of the candidate, nothing taken off
 
 
 def beside_parameters(hypotheses: Sequence[Hypothesis], design: Design) -> BesideParameters:
@@ -180,12 +180,12 @@ def products(hypotheses: Sequence[Hypothesis], vectors: Floats) -> Floats:
 
 
 def squares(hypotheses: Sequence[Hypothesis], kernel: Kernel) -> Floats:
-    """Return CᵀV⁻¹C (h, c, d, d) of the candidates."""
+    """Return CᵀV⁻¹C (h, c, d + f, d + f) of the candidates and their nuisance."""
     first, h = hypotheses[0], len(hypotheses)
     columns = np.concatenate([hypothesis.columns for hypothesis in hypotheses], axis=1) / kernel.scale
-    candidates, row, d = first.candidates, first.fit.row, first.columns.shape[1]
+    candidates, row, width = first.candidates, first.fit.row, first.columns.shape[1]
     if not kernel.shared:
-        by_profile = candidates.products(columns, row, columns, power=2).reshape(-1, h, d, h, d)
+        by_profile = candidates.products(columns, row, columns, power=2).reshape(-1, h, width, h, width)
         return candidates.of_profiles(np.einsum("phdhe->hpde", by_profile))
     gram: Floats | float = 0.0
     for residuals, precision in kernel.precisions:
@@ -193,7 +193,7 @@ def squares(hypotheses: Sequence[Hypothesis], kernel: Kernel) -> Floats:
             half = candidates.products(columns[index], row[index], precision)
             by_row = half.reshape(-1, len(index)).T
             p = len(half)
-            crossed = candidates.products(columns[index], row[index], by_row).reshape(p, h, d, p, h, d)
+            crossed = candidates.products(columns[index], row[index], by_row).reshape(p, h, width, p, h, width)
             gram = gram + np.einsum("phdqhe->hpdqe", crossed)
     return candidates.of_squares(np.asarray(gram))
 

@@ -202,7 +202,7 @@ def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
 
 
 def _misfit(problem: Problem, x: Floats) -> tuple[float, float]:
-    """Return the ratio of the median row's residual to its expectation, 1 to LARGEST_MISFIT; that of their RMS."""
+    """Return how many times as large as expected the residuals are: in the median (1 to LARGEST_MISFIT), and in RMS."""
     ratios, squares = [], []
     for block in whitened_blocks(problem, x, np.zeros(x.size, dtype=bool)):
         if block.row is not None:

@@ -115,7 +115,7 @@ def regions(table: ObservationTable, pose: Indices) -> Indices:
 
 
 def left_out_square(grams: Sequence[Floats], is_always: NDArray[np.bool_]) -> float:
-    """Return Σ |y_r − G_r u|² over the regions, from their [G_r|y_r]ᵀ[G_r|y_r].
+    """Return Σ |y_r − G_r u|² over the regions, each with the u (s,) of all others, from their [G_r|y_r]ᵀ[G_r|y_r].
 
     ``is_always`` (s,): unknowns that are no law's.
     """
@@ -136,7 +136,7 @@ def left_out_square(grams: Sequence[Floats], is_always: NDArray[np.bool_]) -> fl
 def _harmful(problem: LawProblem, learned: Learned, region: Indices, units: Sequence[Unit]) -> Unit:
     """Return the laws, a unit or all, that cost most in regions left out beyond the evidence for them.
 
-    None if none does.
+    Returns () if none does.
     """
     sample, _ = problem.some()
     sizes = np.sqrt(sample.sizes(learned.variances) @ sample.prior.spectra)

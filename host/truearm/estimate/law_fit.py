@@ -186,9 +186,9 @@ class LawProblem:
         return replace(self, columns=columns, is_law=self.is_law[active], basis=self.basis[acts])
 
     def some(self) -> tuple[LawProblem, int]:
-        """Return the problem of the ``acting`` coefficients and at most LEARNING random poses.
+        """Return the problem of the ``acting`` coefficients in at most LEARNING random poses, and a stride.
 
-        Also the stride of those for the noise.
+        Every so manieth of these poses is enough to learn the noise.
         """
         residuals, numbers = 0, set[int]()
         for group in self.problem.groups:
@@ -211,7 +211,7 @@ class LawProblem:
     def by_modes(self, matrix: Floats, x: Floats) -> Floats:
         """Return ``matrix`` (n, k + 1) times T (k + 1, g + f + 1).
 
-        Rows [J|residual at x] times T are by g and f, about the reference.
+        Rows [J|residual at x] times T are derivatives by g and f, and residuals at the reference.
 
         The basis has a block for each law; one product with all of it costs several times as much.
         """
@@ -231,9 +231,9 @@ class LawProblem:
 def law_problem(
     problem: Problem, columns: Mask, start: Floats, pose: Indices, priors: Mapping[Law, LawPrior]
 ) -> LawProblem:
-    """Return a problem whose robot has laws with ``priors``, its last parameters.
+    """Return a problem whose robot has laws with ``priors``: its last parameters.
 
-    ``start`` (P,): the rest, fitted without.
+    ``start`` (P,) is the fit without them.
 
     Unknowns without a prior get a weak one about ``start``, so redundant parameters are allowed.
     """
@@ -382,9 +382,7 @@ def _posterior(problem: LawProblem, x: Floats, data: _Data, variances: Floats) -
 
 
 def nearer_geometry(problem: LawProblem, anywhere: Problem, fit: Posterior, misfit: float) -> Posterior:
-    """Return the posterior moved towards ``problem.start``, the geometry alone.
-
-    It is moved where the rows do not determine the difference.
+    """Return the posterior, moved towards the geometry alone (``problem.start``) where rows do not tell the two apart.
 
     ``anywhere`` has rows of the same fixtures in random poses, and ``misfit`` is the reduced χ² of the geometry.
     """

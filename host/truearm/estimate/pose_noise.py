@@ -233,9 +233,7 @@ def pose_information(rows: Iterable[RowsByPose], width: int, noise: PoseNoise) -
 
 
 def _by_unknowns(twists: Floats, columns: NDArray[np.bool_], root: Floats | None) -> Floats | csr_array:
-    """Return (b + r + 1, k + 1), nearly all zeros.
-
-    Wrenches, by the rig's unknowns and residual times it are rows of ``RowsByPose``.
+    """Return B (b + r + 1, k + 1), mostly zeros, that makes [wrenches | by rig | residual] B rows of ``RowsByPose``.
 
     With a ``root`` (k, r), the unknowns are these by it.
     """

@@ -24,10 +24,7 @@ def first_within(values: Sequence[float] | Floats, margin: float = MARGIN) -> in
 
 
 def largest_first(values: Sequence[float] | Floats) -> list[int]:
-    """Return the indices of values in descending order.
-
-    Those that are as large as one before them, in their own order.
-    """
+    """Return the indices of values in descending order; values that differ by rounding alone keep their order."""
     values = np.asarray(values, dtype=float)
     remaining, order = np.argsort(-values, kind="stable"), list[int]()
     while remaining.size:

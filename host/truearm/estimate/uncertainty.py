@@ -112,7 +112,7 @@ def wide_prior(chain: Chain) -> Floats:
 
 
 def prior_named(chain: Chain, prior: Prior) -> Floats:
-    """Return the standard deviations (p,) of a prior; inf for none, and for one where needed, which the data choose."""
+    """Return the standard deviations (p,) of a prior; inf for none, and for "where-needed", which the data choose."""
     match prior:
         case Prior.NONE | Prior.WHERE_NEEDED:
             return np.full(len(chain.parameters), np.inf)
