@@ -13,8 +13,8 @@ frame is therefore handed over only when the endpoint has sent everything: then 
 call returns at once. When the host is gone the endpoint stays full, `send` takes nothing, and the box counts what it
 must drop.
 
-Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO (image/usb_stamp), which also
-reads in C: 60 µs a byte are saved.
+Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO (image/usb_stamp), which
+also reads in C: 60 µs a byte are saved.
 
 For two seconds after power-on, Ctrl-C leads to the REPL; only after that is byte 3 data, and the watchdog runs. The box
 therefore stays reachable whatever the firmware does; a command leads back too.
@@ -173,7 +173,10 @@ class Board:
         time.sleep_ms(100)  # time for the host to fetch it: a reset follows
 
     def idle(self, us):
-        """Sleep until a byte arrives, at most IDLE_MS. machine.idle() would not sleep after a step longer than its 1 ms."""
+        """Sleep until a byte arrives, at most IDLE_MS.
+
+        machine.idle() would not sleep after a step longer than its 1 ms.
+        """
         for _ in self._poll.ipoll(min(IDLE_MS, us // 1000)):
             break
 

@@ -1,31 +1,38 @@
-"""ADS131M04: 24-bit delta-sigma converter with 4 simultaneous channels. Registers, frames and CRC; ads131m04_dma.py samples.
+"""ADS131M04: 24-bit delta-sigma converter with 4 simultaneous channels.
+
+Registers, frames and CRC; ads131m04_dma.py samples.
 
 From the datasheets SBAS890 (ADS131M04) and SBASA13 (-Q1), sections 6.6, 6.7 and 8:
-- SPI mode 1 (data change on the rising edge of SCLK, are read on the falling one), SCLK period ≥ 40 ns at DVDD ≥ 2.7 V, high and
-  low ≥ 20 ns; CS low ≥ 16 ns before the first SCLK, DOUT driven ≤ 50 ns after it and valid ≤ 20 ns after a rising edge; CS high
-  ≥ 15 ns. Words of 24 bits, most significant bit first; commands, registers, CRC are in a word's upper 16 bits.
-- A frame has 6 words. In: command, then zeros (WREG: the register). Out: response to the frame before, channels 0 to 3 in two's
-  complement, CRC-16 of the five words (CCITT, x^16 + x^12 + x^5 + 1, from 0xFFFF, nothing reflected or inverted).
-- Commands: NULL 0000 (its response is STATUS), RESET 0011 (a whole frame; FF24), STANDBY 0022, WAKEUP 0033, LOCK 0555, UNLOCK
-  0655 (these answer themselves), RREG 101a aaaa annn nnnn (the register), WREG 011a aaaa annn nnnn (010a aaaa ammm mmmm).
-- STATUS: LOCK 15, F_RESYNC 14, REG_MAP 13 (with REGCRC_EN: the registers changed), CRC_ERR 12, CRC_TYPE 11, RESET 10, WLENGTH
-  9:8 (1: 24 bits), DRDY3..0 3:0 (new data of that channel in this frame). After a reset 0500.
-- MODE: REGCRC_EN 13, RX_CRC_EN 12, CRC_TYPE 11, RESET 10 (0 written clears it), WLENGTH 9:8, TIMEOUT 4 (a frame longer than 2^15
-  clocks is given up), DRDY_SEL 3:2, DRDY_HiZ 1, DRDY_FMT 0 (0: level, 1: pulse). After a reset 0510.
-- CLOCK: CHn_EN 11:8, TBM 5, OSR 4:2 (128 · 2^code), PWR 1:0 (2: high resolution, 0.3 to 8.4 MHz). After a reset 0F0E. The modulator
-  runs at CLKIN / 2, a conversion lasts 2 · OSR clocks.
-- GAIN1: PGAGAINn at 4n, gain 2^code. Full scale is ±1.2 V / gain; results stop at 7FFFFF and 800000. Calibration: OCALn is subtracted,
-  then GCALn / 2^23 multiplies (CHn_OCAL 0A + 5n …, CHn_GCAL 0C + 5n …; 0 and 800000 after a reset, and left so: the host calibrates).
-- SYNC/RESET low for 1 to 2047 clocks: conversions start again and the buffers are empty; ≥ 2048 clocks: reset. Registers may be used
-  5 µs (t_REGACQ) after a reset.
-- DRDY (level) falls when a conversion ends and rises when its data are read, or 4 clocks before the next one ends if they are not.
-  Two conversions are buffered: a reader that starts late lags by one permanently, unless it gives a SYNC pulse or reads twice.
-  Therefore ads131m04_dma.py is ready before the SYNC pulse and reads every conversion from then on.
-- Filter: sinc3 up to OSR 1024, above that sinc3 at 1024 and the mean of its last OSR / 1024 results. Results are output while it
-  settles: three conversions after SYNC; after a reset the first two are sinc1.
+- SPI mode 1 (data change on the rising edge of SCLK, are read on the falling one), SCLK period ≥ 40 ns at DVDD ≥ 2.7 V,
+  high and low ≥ 20 ns; CS low ≥ 16 ns before the first SCLK, DOUT driven ≤ 50 ns after it and valid ≤ 20 ns after a
+  rising edge; CS high ≥ 15 ns. Words of 24 bits, most significant bit first; commands, registers, CRC are in a word's
+  upper 16 bits.
+- A frame has 6 words. In: command, then zeros (WREG: the register). Out: response to the frame before, channels 0 to 3
+  in two's complement, CRC-16 of the five words (CCITT, x^16 + x^12 + x^5 + 1, from 0xFFFF, nothing reflected or
+  inverted).
+- Commands: NULL 0000 (its response is STATUS), RESET 0011 (a whole frame; FF24), STANDBY 0022, WAKEUP 0033, LOCK 0555,
+  UNLOCK 0655 (these answer themselves), RREG 101a aaaa annn nnnn (the register), WREG 011a aaaa annn nnnn (010a aaaa
+  ammm mmmm).
+- STATUS: LOCK 15, F_RESYNC 14, REG_MAP 13 (with REGCRC_EN: the registers changed), CRC_ERR 12, CRC_TYPE 11, RESET 10,
+  WLENGTH 9:8 (1: 24 bits), DRDY3..0 3:0 (new data of that channel in this frame). After a reset 0500.
+- MODE: REGCRC_EN 13, RX_CRC_EN 12, CRC_TYPE 11, RESET 10 (0 written clears it), WLENGTH 9:8, TIMEOUT 4 (a frame longer
+  than 2^15 clocks is given up), DRDY_SEL 3:2, DRDY_HiZ 1, DRDY_FMT 0 (0: level, 1: pulse). After a reset 0510.
+- CLOCK: CHn_EN 11:8, TBM 5, OSR 4:2 (128 · 2^code), PWR 1:0 (2: high resolution, 0.3 to 8.4 MHz). After a reset 0F0E.
+  The modulator runs at CLKIN / 2, a conversion lasts 2 · OSR clocks.
+- GAIN1: PGAGAINn at 4n, gain 2^code. Full scale is ±1.2 V / gain; results stop at 7FFFFF and 800000. Calibration: OCALn
+  is subtracted, then GCALn / 2^23 multiplies (CHn_OCAL 0A + 5n …, CHn_GCAL 0C + 5n …; 0 and 800000 after a reset, and
+  left so: the host calibrates).
+- SYNC/RESET low for 1 to 2047 clocks: conversions start again and the buffers are empty; ≥ 2048 clocks: reset.
+  Registers may be used 5 µs (t_REGACQ) after a reset.
+- DRDY (level) falls when a conversion ends and rises when its data are read, or 4 clocks before the next one ends if
+  they are not. Two conversions are buffered: a reader that starts late lags by one permanently, unless it gives a SYNC
+  pulse or reads twice. Therefore ads131m04_dma.py is ready before the SYNC pulse and reads every conversion from then
+  on.
+- Filter: sinc3 up to OSR 1024, above that sinc3 at 1024 and the mean of its last OSR / 1024 results. Results are output
+  while it settles: three conversions after SYNC; after a reset the first two are sinc1.
 
-RX_CRC_EN stays off: while sampling, DIN is low, so every frame is the command NULL. Any change of the registers by interference
-is detected by REG_MAP. Its check takes 448 clocks.
+RX_CRC_EN stays off: while sampling, DIN is low, so every frame is the command NULL. Any change of the registers by
+interference is detected by REG_MAP. Its check takes 448 clocks.
 """
 
 from array import array

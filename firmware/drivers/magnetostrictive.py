@@ -1,23 +1,27 @@
 """Magnetostrictive sensor with a start/stop interface: times of flight with 8 ns resolution, by PIO and DMA alone.
 
-The sensor. A current pulse through a wire meets the field of the magnet that marks the position and twists the wire there. The twist
-travels back to the head at 2.8 km/s. An interrogation pulse starts the head, which answers with a start pulse at once and a stop pulse
-when the twist arrives. From the manufacturers' manuals:
-- speed: stamped on every head, typically 9.05 us/inch (Allen-Bradley 1771-QB manual, ch. 4: transducer constant "typically 9.0500"), 8.94371
-  us/inch = 2839.98 m/s in the example of MTS's MK 292 manual (7.3), 2850 m/s in Balluff's BTL7-P511 (6.2.2). 8 ns are 22.5 µm.
-- interrogation: 1 µs recommended, 0.2 µs at least (AMETEK 952 manual, 3.8); 1 to 5 µs, and 10 to 50 µs would switch to a data
-  protocol (Balluff BTL7-P511, 6.2). Its leading edge starts the measurement.
+The sensor. A current pulse through a wire meets the field of the magnet that marks the position and twists the wire
+there. The twist travels back to the head at 2.8 km/s. An interrogation pulse starts the head, which answers with a
+start pulse at once and a stop pulse when the twist arrives. From the manufacturers' manuals:
+- speed: stamped on every head, typically 9.05 us/inch (Allen-Bradley 1771-QB manual, ch. 4: transducer constant
+  "typically 9.0500"), 8.94371 us/inch = 2839.98 m/s in the example of MTS's MK 292 manual (7.3), 2850 m/s in Balluff's
+  BTL7-P511 (6.2.2). 8 ns are 22.5 µm.
+- interrogation: 1 µs recommended, 0.2 µs at least (AMETEK 952 manual, 3.8); 1 to 5 µs, and 10 to 50 µs would switch to
+  a data protocol (Balluff BTL7-P511, 6.2). Its leading edge starts the measurement.
 - start pulse: begins within 50 ns of it, lasts 1 µs (AMETEK) or 3 to 5 µs, typically 4 (Balluff). Stop pulse: as long.
-- blanking: 5 µs, or 21 µs for older heads with noisy signals (Delta RMC, MDT Fundamentals: Temposonics I and II with neuter output).
-- signals: RS-422 or RS-485, differential, 500 m or more. The counter must detect a loss of signal (MTS Temposonics II, 4.2.3).
-- rate: between shots the flight over the entire rod must end and its echo decay; heads of 50 to 250 mm with their own timing make 780
-  measurements per second, 600 at 1.3 m (Balluff BTL7-V50T, 6.6). An external start/stop counter may run as fast as the rod's length
-  allows: the time-out here is the longest flight, and the period is at least that plus 10 µs.
+- blanking: 5 µs, or 21 µs for older heads with noisy signals (Delta RMC, MDT Fundamentals: Temposonics I and II with
+  neuter output).
+- signals: RS-422 or RS-485, differential, 500 m or more. The counter must detect a loss of signal (MTS Temposonics II,
+  4.2.3).
+- rate: between shots the flight over the entire rod must end and its echo decay; heads of 50 to 250 mm with their own
+  timing make 780 measurements per second, 600 at 1.3 m (Balluff BTL7-V50T, 6.6). An external start/stop counter may run
+  as fast as the rod's length allows: the time-out here is the longest flight, and the period is at least that plus 10
+  µs.
 
-What is timed. The reference is the start pulse, not the interrogation: delays of the head and its cable affect both pulses equally. Which
-edges count depends on the head (Balluff BTL5 manual, table 4-2): the first edge of each pulse (-M; Temposonics start/stop), the second of
-each (-P), or begin and end of one long pulse, a gate (-L). For the second edges and for the gate the pin's input is inverted, so that the
-edge that ends a flight rises.
+What is timed. The reference is the start pulse, not the interrogation: delays of the head and its cable affect both
+pulses equally. Which edges count depends on the head (Balluff BTL5 manual, table 4-2): the first edge of each pulse
+(-M; Temposonics start/stop), the second of each (-P), or begin and end of one long pulse, a gate (-L). For the second
+edges and for the gate the pin's input is inverted, so that the edge that ends a flight rises.
 
 Three state machines of one PIO block, at 125 MHz (a cycle is a tick of 8 ns):
 
@@ -35,48 +39,52 @@ The *pacer* repeats a loop of exactly P cycles, P the period. Count its cycles f
     B + 3 ...    osr + 1 cycles of waiting
     P - 3 ...    mov, jmp, mov: the number of the next shot. So osr = P - B - 7
 
-Two *counters* run the same program, for the start and then for the stop. Counter i (0, 1) waits for flag 4 + i, which the pacer sets in cycle
-C + i: C is 1 for the start, B for the stop. A flag set in one cycle is visible in the next, so `wait` ends in cycle C + 1 + i, `mov x` is in
-C + 2 + i, and the first look at the pin in C + 3 + i. From then on it looks every second cycle and subtracts one from x, which began at N (the
-start's or the stop's), between two looks. Because they are one cycle apart, the two together look at the pin in every cycle. Each first waits
-for a look that finds the pin low, then for one that finds it high: an edge, not a level. Therefore neither a start pulse longer than the
-blanking nor a stuck line counts, and RS-422 receivers go high when their wires break. (A gate begins where the inverted pin is first found low.)
+Two *counters* run the same program, for the start and then for the stop. Counter i (0, 1) waits for flag 4 + i, which
+the pacer sets in cycle C + i: C is 1 for the start, B for the stop. A flag set in one cycle is visible in the next, so
+`wait` ends in cycle C + 1 + i, `mov x` is in C + 2 + i, and the first look at the pin in C + 3 + i. From then on it
+looks every second cycle and subtracts one from x, which began at N (the start's or the stop's), between two looks.
+Because they are one cycle apart, the two together look at the pin in every cycle. Each first waits for a look that
+finds the pin low, then for one that finds it high: an edge, not a level. Therefore neither a start pulse longer than
+the blanking nor a stuck line counts, and RS-422 receivers go high when their wires break. (A gate begins where the
+inverted pin is first found low.)
 
-A look in cycle t shows the pin as it was at t - 1 (two flip-flops of the synchroniser). If an edge comes at time s, the first look
-that can find it is in cycle t = floor(s) + 2. Let m = t - (C + 3). Counter 0 looks at even m, after n0 = ceil(m / 2) decrements; counter 1 at
-odd m, after n1 = floor(m / 2). So m = n0 + n1, whichever comes first, and n0 - n1 is 0 or 1. With the edge at s = 1 + F, F the
-time since the interrogation in ticks:
+A look in cycle t shows the pin as it was at t - 1 (two flip-flops of the synchroniser). If an edge comes at time s, the
+first look that can find it is in cycle t = floor(s) + 2. Let m = t - (C + 3). Counter 0 looks at even m, after n0 =
+ceil(m / 2) decrements; counter 1 at odd m, after n1 = floor(m / 2). So m = n0 + n1, whichever comes first, and n0 - n1
+is 0 or 1. With the edge at s = 1 + F, F the time since the interrogation in ticks:
 
     floor(F) = t - 3 = C + m = C + 2 N - x0 - x1
 
-The output is floor(F) of the stop less floor(F) of the start. The start falls anywhere in a tick, at the same place as long as the head
-answers after the same time: the difference is correct on average over all such places, and wrong by up to half a tick, 11 µm, for one head.
-Both synchroniser delays (2 cycles), pads (some ns) and receivers are the same for both edges and cancel; the rest is part of the zero that
-`truearm box gauge` determines. The pin's synchroniser is common to both counters, so they never see different pins. n0 - n1 is neither 0 nor 1
-if only one saw a pulse: it was shorter than 16 ns, a disturbance. With a resting magnet and a head without noise, every shot gives the same
-count, and the mean has the same error as one shot; noise of some ns removes it.
+The output is floor(F) of the stop less floor(F) of the start. The start falls anywhere in a tick, at the same place as
+long as the head answers after the same time: the difference is correct on average over all such places, and wrong by up
+to half a tick, 11 µm, for one head. Both synchroniser delays (2 cycles), pads (some ns) and receivers are the same for
+both edges and cancel; the rest is part of the zero that `truearm box gauge` determines. The pin's synchroniser is
+common to both counters, so they never see different pins. n0 - n1 is neither 0 nor 1 if only one saw a pulse: it was
+shorter than 16 ns, a disturbance. With a resting magnet and a head without noise, every shot gives the same count, and
+the mean has the same error as one shot; noise of some ns removes it.
 
-Limits: both counters need one low look before the edge, so a start counts from 2 ticks after the first look on, F > 3 (24 ns), and a stop from
-F > B + 2: B is the blanking less 2. A stop edge in the very last tick of the blanking is seen by counter 0 alone; the shot then counts as one
-without a stop. Without a start, x ends at -1, after 2 N + 11 cycles; N is chosen so that the counters wait for the stop's flags by then.
+Limits: both counters need one low look before the edge, so a start counts from 2 ticks after the first look on, F > 3
+(24 ns), and a stop from F > B + 2: B is the blanking less 2. A stop edge in the very last tick of the blanking is seen
+by counter 0 alone; the shot then counts as one without a stop. Without a start, x ends at -1, after 2 N + 11 cycles; N
+is chosen so that the counters wait for the stop's flags by then.
 
-Time-out: a stop's x is decremented at 0, too, and then -1 is pushed. A shot without a start or without a stop is 0, counted in `missing`, and
-sets FLAG_MISSING_STOP.
+Time-out: a stop's x is decremented at 0, too, and then -1 is pushed. A shot without a start or without a stop is 0,
+counted in `missing`, and sets FLAG_MISSING_STOP.
 
-DMA. Four channels run in an endless cycle, each started by the previous one; every start reloads the transfer count, so the cycle
-never ends:
+DMA. Four channels run in an endless cycle, each started by the previous one; every start reloads the transfer count, so
+the cycle never ends:
 
     number    pacer's RX FIFO → state word NUMBER      paced by the FIFO: a shot has begun
     stamp     TIMERAWL → ring of stamps                at once
     counts 0  counter 0's RX FIFO → ring, two words    paced by the FIFO
     counts 1  counter 1's RX FIFO → ring, two words    paced by the FIFO
 
-The push is in the cycle of the interrogation edge; two transfers of about 10 cycles follow, so TIMERAWL is read within 0.3 µs of it even with
-a busy bus: the stamp is at most 1 µs early (it is the current microsecond) and 0.3 µs late. Number, stamp and counts of a shot always
-stay together: each is at index (number of the shot) mod SHOTS of its ring. The pacer counts shots down from 2^32 - 1, so laps of the ring
-are counted exactly, whatever Python does: begun = -NUMBER, and the complete ones follow from counts 1's write address.
-No shot is lost in hardware: the FIFOs hold four words, of two shots. Python must call once per SHOTS - SPARE shots; otherwise the waiting shots
-are lost, and counted.
+The push is in the cycle of the interrogation edge; two transfers of about 10 cycles follow, so TIMERAWL is read within
+0.3 µs of it even with a busy bus: the stamp is at most 1 µs early (it is the current microsecond) and 0.3 µs late.
+Number, stamp and counts of a shot always stay together: each is at index (number of the shot) mod SHOTS of its ring.
+The pacer counts shots down from 2^32 - 1, so laps of the ring are counted exactly, whatever Python does: begun =
+-NUMBER, and the complete ones follow from counts 1's write address. No shot is lost in hardware: the FIFOs hold four
+words, of two shots. Python must call once per SHOTS - SPARE shots; otherwise the waiting shots are lost, and counted.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)

@@ -12,7 +12,8 @@ changed: some seconds for the firmware.
 
     python firmware/image/build.py [--out build/uf2] [--work build/image] [--suite trixie]
 
-Exit codes: 0 built (or up to date), 2 it does not compile, 3 something that it needs cannot be fetched here (no apt, no network).
+Exit codes: 0 built (or up to date), 2 it does not compile, 3 something that it needs cannot be fetched here (no apt, no
+network).
 """
 
 import argparse
@@ -294,7 +295,7 @@ def _configure(work: Path, cmake: Path, environ: dict[str, str]) -> None:
     (stub / "cassert").write_text("#include <assert.h>\n")
     for name in ("stdc++", "stdc++_nano", "supc++", "supc++_nano"):
         _run(["arm-none-eabi-ar", "rc", stub / f"lib{name}.a"])
-    # The second flag: gcc would otherwise resolve the links of every path at which it looks for a header, 37,000 a file.
+    # The second flag: gcc would otherwise resolve the links of every path at which it looks for a header: 37,000.
     same_path = f"-ffile-prefix-map={work}=. -fno-canonical-system-headers"
     flags = {
         "CFLAGS": same_path,
@@ -349,7 +350,7 @@ def versions(work: Path, version: str, image: Path) -> str:
 
 
 def symbols(elf: Path) -> dict[str, list[int]]:
-    """Return address and size of all named items in flash, for the emulator: exceptions and profiles (hil_sim/chip/)."""
+    """Return address and size of all named items in flash, for the emulator: exceptions, profiles (hil_sim/chip/)."""
     table = _output(["arm-none-eabi-nm", "--print-size", str(elf)])
     rows = (line.split() for line in table.splitlines())
     return {row[3]: [int(row[0], 16), int(row[1], 16)] for row in rows if len(row) == 4 and row[2] in "tTwWrR"}

@@ -5,26 +5,29 @@
     shortest_period_ns        of the sources' samples, both at once, at which no sample is lost
     now(buf)                  8 bytes, big endian: microseconds since boot. Never steps, never wraps.
     ticks(), ticks_diff(a, b) microseconds for durations, small integers
-    receive(buf, stamp) → n   bytes received over the link, at most len(buf). If any: stamp (8 bytes) is a time, as now's, at which the first
-                              of them had already arrived
+    receive(buf, stamp) → n   bytes received over the link, at most len(buf). If any: stamp (8 bytes) is a time, as
+                              now's, at which the first of them had already arrived
     send(buf, at, n) → taken  of buf[at:at + n], 0 … n
     send_stamped(buf, at, end, place) → taken
-                              finishes the frame whose payload is buf[at + HEAD:end], as frame.close does, with the current time in the 8 bytes
-                              at place, and sends it, with the shortest possible delay. 0: the link takes nothing, nothing was changed
+                              finishes the frame whose payload is buf[at + HEAD:end], as frame.close does, with the
+                              current time in the 8 bytes at place, and sends it, with the shortest possible delay. 0:
+                              the link takes nothing, nothing was changed
     adc, mag                  the sources of samples, see below
     sensors                   further sensors, () if there are none: each a stream from number 2 on, see polled.py
     thermometers              the thermometers' bus, see below
     configure(settings)       apply the configuration (config.DEFAULT shows one): gains, blanking and time-out, the
                               watchdog. At boot and after every change, never while sampling
-    edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge. Lines 0 and 1 are the inputs, 2 is
-                              the box's own output
+    edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge. Lines 0 and 1 are
+                              the inputs, 2 is the box's own output
     edges_lost                counter since boot that wraps at 2^30: edges that the board had no room for
     output(level)             sets the trigger output
     alive()                   feeds the watchdog; called once per step, so it may blink the LED too
     led(code)                 sets the LED pattern: health.IDLE, STREAMING, HOST_GONE or FAULT
-    self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured is omitted.
-                              Never while sampling. May take a second, during which it feeds the watchdog itself
-    idle(us)                  nothing to do: wait for an interrupt, at most some milliseconds and at most this many microseconds
+    self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured
+                              is omitted. Never while sampling. May take a second, during which it feeds the watchdog
+                              itself
+    idle(us)                  nothing to do: wait for an interrupt, at most some milliseconds and at most this many
+                              microseconds
     console(text), reset()    exit after an exception; reset() lets the link take what was sent, as boot_loader() does
     to_repl(), boot_loader()  exits by command; to_repl() returns, and then main ends
     heap_free(), temperature_mdegc()
@@ -32,29 +35,31 @@
 A source samples independently, in hardware, into its own buffer:
 
     channels                  4 and 1: a sample is 4 * channels bytes, little-endian 32-bit integers
-    start(rate), stop()       rate: oversampling (adc), period in ns (mag). A start discards old samples and counts from 0
+    start(rate), stop()       rate: oversampling (adc), period in ns (mag). A start discards old samples, counts from 0
     waiting() → n             samples that wait
     take(n, dst, at, index, stamp) → bool
-                              if n contiguous samples wait: move them to dst[at:], the first one's index since start to index (8
-                              bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
+                              if n contiguous samples wait: move them to dst[at:], the first one's index since start to
+                              index (8 bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
     broken() → bool           a gap follows the waiting samples: no more will arrive before it
     lost() → n                samples lost in the board before those just taken; counts from zero again
     fault() → flags           of those just taken, FLAG_CONVERTER and FLAG_MISSING_STOP of the wire
-    crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, spontaneous resets of the converter)
+    crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, spontaneous resets of
+                              the converter)
     missing                   the same (mag: samples without a stop, which are 0)
 
 The main loop never waits for the thermometers' bus:
 
     uids                      tuple of addresses (8 bytes each) of the thermometers found at boot
     begin(uid)                begin to read the one with this address; None: make all convert
-    step() → state            do a part of it: 0 there is more to do, 1 it is done, 2 it failed: no answer, or a wrong one
+    step() → state            do a part of it: 0 there is more to do, 1 it is done, 2 it failed: no or a wrong answer
     mdegc                     what was read, thousandths of a degree Celsius
 
 None of them may allocate except configure, self_test, output, console, reset, to_repl and boot_loader.
 
-Functions in the path of the samples that need many words are native code (`micropython.native`): MicroPython allocates the frame of a
-bytecode function on the heap if locals and operands exceed 11 words. It frees it again, so nothing grows, but the search for space took 2 to 3
-ms per block; a native function's frame is on the stack. tests/chip/test_speed.py checks it; docs/explanation/benchmarks.md has the figures.
+Functions in the path of the samples that need many words are native code (`micropython.native`): MicroPython allocates
+the frame of a bytecode function on the heap if locals and operands exceed 11 words. It frees it again, so nothing
+grows, but the search for space took 2 to 3 ms per block; a native function's frame is on the stack.
+tests/chip/test_speed.py checks it; docs/explanation/benchmarks.md has the figures.
 """
 
 import gc

@@ -1,4 +1,7 @@
-"""The configuration of a new box, and what the box alone has to know of one; its rules are those of truearm_wire.config."""
+"""The configuration of a new box, and what the box alone has to know of one.
+
+Its rules are those of truearm_wire.config.
+"""
 
 from truearm_wire.cbor import Tag
 from truearm_wire.config import NO_TRIGGER, OSRS, VERSION, check, check_period

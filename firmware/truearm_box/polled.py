@@ -1,7 +1,10 @@
-"""A source of samples that the main loop reads when they are due: a sensor on SPI, I2C or UART, at up to some hundred hertz.
+"""A source of samples that the main loop reads when they are due.
 
-A sensor has a `stream`, its entry in the ident without id, and `read(out)`, which puts a little-endian 32-bit integer for
-each channel into `out` and returns whether the sensor answered. It takes at most a millisecond and does not allocate.
+It is a sensor on SPI, I2C or UART, at up to some hundred hertz.
+
+A sensor has a `stream`, its entry in the ident without id, and `read(out)`, which puts a little-endian 32-bit integer
+for each channel into `out` and returns whether the sensor answered. It takes at most a millisecond and does not
+allocate.
 
 A sample is late by up to a pass of the main loop, some milliseconds. One that was not read at all is lost and counted.
 """

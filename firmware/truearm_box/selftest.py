@@ -1,8 +1,10 @@
 """The board's measurements in its self-test, evaluated.
 
 converter_id        the ADS131M04's ID register, 24xx
-excitation          µV on the channel by which another is divided: the current of the LVDT's primary, demodulated (docs/how-to/hardware.md)
-noise_0 … noise_3   nV RMS with the inputs shorted, at gain 1 and osr 4096: about 3000 by the datasheet; 0: the converter does not run
+excitation          µV on the channel by which another is divided: the current of the LVDT's primary, demodulated
+                    (docs/how-to/hardware.md)
+noise_0 … noise_3   nV RMS with the inputs shorted, at gain 1 and osr 4096: about 3000 by the datasheet; 0: the
+                    converter does not run
 stops               of 16 interrogations
 rail_5v             mV; USB allows 4.4 to 5.5 V
 temperature         thousandths of a degree Celsius

@@ -82,7 +82,7 @@ def save(path, settings, try_out):
 
 
 def keep_error(path, text):
-    """Store the end of a traceback, unless already stored: a box that fails at every boot must not wear out its flash."""
+    """Store the end of a traceback unless it is stored: a box that fails at every boot must not wear out its flash."""
     text = plain(text[-ERROR_MAX:], ERROR_MAX)  # the end describes what happened
     try:
         if last_error(path) != text:

@@ -19,7 +19,10 @@ class Toggle:
         self._interval = 0  # µs to the next one
 
     def step(self, running, limits):
-        """Set the output if it is time. limits: shortest and longest interval in ms, both 0: never. Returns whether it was set."""
+        """Set the output if it is time; return whether it was set.
+
+        limits: shortest and longest interval in ms, both 0: never.
+        """
         if not running or not limits[1]:
             return self._on and self._end()
         ticks = self._board.ticks()
