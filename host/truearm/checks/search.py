@@ -55,9 +55,14 @@ class Search:
     table: tuple[Weighed, ...]
     without_findings: Design  # otherwise as ``design``
     as_fitted: Design  # without findings, with the declared noise and the prior of the fit
-    declared: Design  # without findings, with the declared noise
     block: Indices  # (m,) of residuals to leave out together
     refused: tuple[str, ...] = ()  # beyond chance, but they do not predict rows that were left out
+
+    @property
+    def declared(self) -> Design:
+        """Return the design without findings, with the declared noise."""
+        design, fit = self.without_findings, self.design.fit
+        return design if design.kernel.declared else build_design(fit, DECLARED, fit.wide_prior)
 
     @cached_property
     def response(self) -> Floats:
@@ -101,7 +106,7 @@ def search_with_noise(fit: WhitenedFit) -> Search:
         kernel = learned if explained + learned.gain > kernel.gain else kernel
     if kernel.declared:
         return plain
-    return replace(searched(build_design(fit, kernel, fit.wide_prior), hypotheses, as_fitted), declared=declared)
+    return searched(build_design(fit, kernel, fit.wide_prior), hypotheses, as_fitted)
 
 
 def is_odd(design: Design) -> bool:
@@ -136,16 +141,7 @@ def searched(without_findings: Design, hypotheses: Sequence[Hypothesis], as_fitt
         table = tuple(evidence[hypothesis] for hypothesis in hypotheses)
         significant = {weighed.name for weighed in table if is_significant(weighed, log_count[weighed.hypothesis.kind])}
         if not significant or refused or len(detections) == MOST_FINDINGS:
-            return Search(
-                tuple(detections),
-                design,
-                table,
-                without_findings=without_findings,
-                as_fitted=as_fitted,
-                declared=without_findings,
-                block=block,
-                refused=refused,
-            )
+            return Search(tuple(detections), design, table, without_findings, as_fitted, block, refused)
         detection = detected(significant, table, design, finer)
         baseline = as_fitted.extended(columns_of(detections, fit))
         residual = left_out(baseline.extended(detection.best.columns), block)

@@ -331,6 +331,4 @@ def kernel_of(fit: WhitenedFit, rows: Indices, name: str, width: float, share: f
     stacks = [np.stack(stack, axis=1) for stack in sets.values()]
     row_sets = (fit.row[residuals[:, 0]] for residuals in stacks)
     roots = (linalg.cholesky(covariance[np.ix_(members, members)], lower=True) for members in row_sets)
-    return Kernel(
-        name, shared=tuple(SharedNoise(residuals, root) for residuals, root in zip(stacks, roots, strict=True))
-    )
+    return Kernel(name, shared=tuple(map(SharedNoise, stacks, roots)))

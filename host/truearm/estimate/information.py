@@ -76,11 +76,8 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
         lin = block.evaluate(problem.chain, x)
         note(block, lin.residual, residual)
         direct = lin.basis.direct
-        stacked = (
-            _stacked(lin.wrenches @ lin.basis.twists, robot, lin, rig)
-            if direct
-            else _stacked(lin.wrenches, moving, lin, rig)
-        )
+        by_robot, chosen = (lin.wrenches @ lin.basis.twists, robot) if direct else (lin.wrenches, moving)
+        stacked = _stacked(by_robot, chosen, lin, rig)
         whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
         chi2 += float((stacked[-1] ** 2).sum())
         count += lin.residual.size

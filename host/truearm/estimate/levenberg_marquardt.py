@@ -101,13 +101,8 @@ def minimise(
         decomposition = spectrum(current.root)
         promised = promise(decomposition, current.rhs)
         if promised @ promised <= max(RELATIVE_END**2 * current.chi2, ABSOLUTE_END**2 * current.n_residuals):
-            return Minimum(
-                x,
-                "converged",
-                "the linearised problem predicts no further reduction of the residuals",
-                iteration,
-                current,
-            )
+            text = "the linearised problem predicts no further reduction of the residuals"
+            return Minimum(x, "converged", text, iteration, current)
         if ends is not None and ends.reached(so_far, float(promised @ promised)):
             return Minimum(x, "max_iterations", "further iterations are of no use", iteration, current)
         delta, _ = damped_step(decomposition, promised, 0.0)
@@ -142,17 +137,14 @@ def minimise(
         if on_step is not None:
             on_step(iteration + 1, current)
         so_far.append(current.chi2)
-    return Minimum(x, "max_iterations", _too_few(max_iterations), max_iterations, current)
+    text = f"{counted(max_iterations, 'iteration was', 'iterations were')} not enough"
+    return Minimum(x, "max_iterations", text, max_iterations, current)
 
 
 def _finite(information: Information) -> bool:
     return bool(
         np.isfinite(information.chi2) and np.isfinite(information.root).all() and np.isfinite(information.rhs).all()
     )
-
-
-def _too_few(iterations: int) -> str:
-    return f"{counted(iterations, 'iteration was', 'iterations were')} not enough"
 
 
 def after_step(damping: float, gain: float, refused: bool) -> float:
@@ -172,13 +164,8 @@ def promise(decomposition: Spectrum, rhs: Floats) -> Floats:
 
 def damped_step(decomposition: Spectrum, promised: Floats, damping: float) -> tuple[Floats, float]:
     """Return Δ (k,) for a damping λ, and the reduction of χ² that the linearised problem predicts."""
-    identifiable = promised != 0.0
-    filtered = np.zeros_like(promised)
-    filtered[identifiable] = (
-        decomposition.singular[identifiable]
-        / (decomposition.singular[identifiable] ** 2 + damping)
-        * promised[identifiable]
-    )
-    unreduced = promised - decomposition.singular * filtered
+    singular = decomposition.singular
+    filtered = singular / np.where(promised != 0.0, singular**2 + damping, 1.0) * promised  # 0 along null directions
+    unreduced = promised - singular * filtered
     predicted = float(promised @ promised - unreduced @ unreduced)
     return (decomposition.vt.T @ filtered) / decomposition.scale, max(predicted, np.finfo(float).tiny)
