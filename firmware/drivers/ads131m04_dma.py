@@ -1,5 +1,6 @@
-"""Samples of an ADS131M04, read and stamped by hardware alone: two PIO state machines, three DMA channels, no
-interrupts.
+"""Samples of an ADS131M04, read and stamped by hardware alone: two PIO state machines, three DMA channels.
+
+There are no interrupts.
 
 Both machines wait for DRDY to fall. The counter pushes the number of the conversion; the reader clocks the frame in:
 six words of 24 bits, pushed one by one. DIN stays low (the command NULL). The DMA channels run in an endless cycle,

@@ -1,5 +1,6 @@
-"""DS18B20 thermometers on one wire, timed by a PIO state machine: only `search` waits or allocates; no interrupt is
-blocked.
+"""DS18B20 thermometers on one wire, timed by a PIO state machine.
+
+Only `search` waits or allocates; no interrupt is blocked.
 
 A pull-up holds the wire high; the state machine pulls it low through its pin's direction. One word makes one slot, at 1
 MHz:
@@ -82,8 +83,9 @@ def program(rp2):
 
 @micropython.viper
 def exchange(s: ptr32, levels: ptr32, shift: int, fifos: ptr32, out: ptr8, back: ptr8) -> int:
-    """Take the received bits to `back`, write those of `out` that fit. fifos: addresses of RX, TX. Returns 1 when all
-    are received.
+    """Take the received bits to `back`, write those of `out` that fit. fifos: addresses of RX, TX.
+
+    Returns 1 when all are received.
     """
     rx = ptr32(fifos[0])
     tx = ptr32(fifos[1])
@@ -119,8 +121,9 @@ def crc8(data: ptr8, i: int, end: int) -> int:
 
 
 def reading(data, at):
-    """Return thousandths of a degree from a scratchpad at data[at:], or None if invalid. (A wire held low gives zeros
-    with a valid checksum.)
+    """Return thousandths of a degree from a scratchpad at data[at:], or None if invalid.
+
+    (A wire held low gives zeros with a valid checksum.)
     """
     if crc8(data, at, at + SCRATCHPAD) or data[at + 4] & 0x9F != 0x1F:
         return None
@@ -132,8 +135,9 @@ def reading(data, at):
 
 
 class Thermometers:
-    """The bus of thermometers on a pin (truearm_box/box.py describes a bus). Uses a state machine and seven
-    instructions of its block.
+    """The bus of thermometers on a pin (truearm_box/box.py describes a bus).
+
+    Uses a state machine and seven instructions of its block.
     """
 
     def __init__(self, machine, rp2, chip, pin, state_machine):

@@ -352,8 +352,9 @@ class Magnetostrictive:
         self._first = 1 << self._dma[0].channel
 
     def configure(self, blanking_ns, timeout_ns, edge=FIRST):
-        """Take effect from the next start on; nothing may be running. Times count from the interrogation edge. Raises
-        ValueError.
+        """Take effect from the next start on; nothing may be running.
+
+        Times count from the interrogation edge. Raises ValueError.
 
         edge: FIRST, SECOND or GATE.
         """

@@ -42,8 +42,9 @@ def arm(channel: ptr32, setup: ptr32):
 
 
 def halt(chip, bases, setups, channels):
-    """Stop DMA channels that start one another. Each is disabled first, as none may be started meanwhile (RP2040
-    datasheet 2.5.5.3).
+    """Stop DMA channels that start one another.
+
+    Each is disabled first, as none may be started meanwhile (RP2040 datasheet 2.5.5.3).
 
     bases: of their registers; setups: as of `arm`; channels: a bit for each.
     """

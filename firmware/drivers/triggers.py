@@ -1,5 +1,6 @@
-"""Trigger edges: two inputs and the box's own output, stamped by PIO and DMA alone; every edge is handed out or
-counted.
+"""Trigger edges: two inputs and the box's own output, stamped by PIO and DMA alone.
+
+Every edge is handed out or counted.
 
 One state machine reads three adjacent pins: the inputs (lines 0 and 1) and the output (line 2), read back from its own
 pad, so all three are stamped in the same way. Its loop has four cycles (32 ns at 125 MHz):
@@ -136,8 +137,9 @@ _OSR_0 = 0xA0E3
 
 
 class Triggers:
-    """Trigger lines 0 and 1 on the first two of three adjacent pins; the box's output, line 2, on the third. Runs at
-    once.
+    """Trigger lines 0 and 1 on the first two of three adjacent pins; the box's output, line 2, on the third.
+
+    Runs at once.
 
     Uses one state machine, eleven instructions, two DMA channels and 4 KiB.
     """

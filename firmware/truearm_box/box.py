@@ -231,8 +231,9 @@ class Box:
 
 
 def run(board):
-    """Run until the host requests the prompt. An exception is stored, sent on the link between delimiters, and the box
-    restarts.
+    """Run until the host requests the prompt.
+
+    An exception is stored, sent on the link between delimiters, and the box restarts.
     """
     try:
         box = Box(board)

@@ -68,8 +68,9 @@ class Events:
 
     @micropython.native
     def put(self, edge, now, full, debounce_us):
-        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there
-        is no space.
+        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes.
+
+        Drops it if there is no space.
 
         `debounce_us` of lines 0 and 1: an edge this soon after a kept one of its line is ignored.
         """

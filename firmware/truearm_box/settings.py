@@ -32,8 +32,9 @@ class Settings:
         self._temperatures.configure(self.config)
 
     def _try_out(self, found):
-        """Raise ValueError for a configuration that cannot be reported to the host: it must not stop the box from
-        booting.
+        """Raise ValueError for a configuration that cannot be reported to the host.
+
+        Such a configuration must not stop the box from booting.
         """
         gc.collect()
         count = len(pages_of(found))

@@ -1,5 +1,6 @@
-"""Files on the box's flash: the configuration, and the last traceback. Never used while streaming: flash stops the
-chip.
+"""Files on the box's flash: the configuration, and the last traceback.
+
+Never used while streaming: flash stops the chip.
 
 A configuration is written next to the existing one, read back, and then renamed to replace it, which littlefs does
 atomically; the previous one remains as .old. Whenever power fails, one of the two is complete, and `load` finds it:

@@ -40,8 +40,9 @@ class Streams:
         self.running = False
 
     def start(self, osr, mag_period_ns):
-        """Start sampling; a period of 0 leaves its stream off. Only when no block waits: its indices would belong to
-        another start.
+        """Start sampling; a period of 0 leaves its stream off.
+
+        Only when no block waits: its indices would belong to another start.
         """
         self.running = True
         self._streams[0].start(osr, osr * PERIOD_NS_PER_OSR)

@@ -1,5 +1,6 @@
-"""Thermometers on the bar and at the sensor: each is read every two seconds, regardless of other work, and sent in a
-frame.
+"""Thermometers on the bar and at the sensor.
+
+Each is read every two seconds, regardless of other work, and sent in a frame.
 
 All convert together; then each is read in turn, some bits per call. No call of `step` waits or allocates. A missing
 reading is counted, and requested again two seconds later: a thermometer may be missing from the start, or disconnect

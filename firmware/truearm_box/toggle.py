@@ -1,5 +1,6 @@
-"""The trigger output, toggled at random times while the box streams: edges that relate a robot's clock to the box's
-(SPEC §5).
+"""The trigger output, toggled at random times while the box streams.
+
+Its edges relate a robot's clock to the box's (SPEC §5).
 
 A robot controller samples its input once per cycle. Edges synchronous with its cycle would all fall at the same point
 in it and carry no more information than one, so the intervals are random to the microsecond. The stamp of an edge is
