@@ -186,7 +186,9 @@ def _parameters(
 ) -> Iterator[Parameter]:
     """Yield the described arguments of a function, or fields of a record, whose defaults are those of ``usual``.
 
-    Without ``usual``, the record's are used, and a named tuple needs its first field.
+    Without ``usual``, the record's are used, and a named tuple needs its first field. An argument is described under
+    its name, that of ``OPTIONS``, or either with a unit. One that is described both as option and as argument of the
+    command is the latter if it has no default.
     """
     has_defaults = usual is not EMPTY
     names = {stem_of(name): name for _, name in documented} | {name: name for _, name in documented}

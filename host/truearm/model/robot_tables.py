@@ -285,7 +285,7 @@ def _read_slots(
 
 
 def _has(doc: Mapping[str, Any], table: str, key: str) -> bool:
-    """Return whether a file has a table, and if it is that of a joint, a number in it."""
+    """Return whether a file has a table or, if it is that of a joint, the number ``key`` in it, in any unit."""
     content = doc.get(table, {})
     is_joint = table.startswith("joint") and isinstance(content, dict)
     return any(name.startswith(f"{key}_") for name in content) if is_joint else table in doc

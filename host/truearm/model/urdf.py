@@ -184,6 +184,7 @@ def _read_joint(node: Xml) -> _UrdfJoint:
 
 
 def _read_links(root: Xml, joints: list[_UrdfJoint]) -> set[str]:
+    """Return the names of the links. Raises RobotError if there are none, or a joint refers to another link."""
     links = {node.get("name") or "" for node in root.findall("link")}
     for joint in joints:
         for link in (joint.parent, joint.child):

@@ -308,8 +308,8 @@ def _with_lines(knowledge: Knowledge, devices: dict[str, Device]) -> Knowledge:
 
 
 def _chosen(knowledge: Knowledge, candidates: Lines, n: int, options: LineOptions, aim: Aim, target: str) -> list[int]:
-    """Return the best ``n`` lines, after fitting the unknowns of their own devices."""
-    blocks = []
+    """Return the indices of the best ``n`` candidates, each with a device of its own whose unknowns are fitted too."""
+    blocks = []  # of each line, what it says of the robot beside its device
     for i in steps_of(range(len(candidates.q)), f"weighing {len(candidates.q)} lines"):
         table, devices = line_rows(knowledge, candidates.select([i]), ["own"], target, options.passes)
         alone = _with_lines(replace(knowledge, measured=None), devices)

@@ -313,6 +313,7 @@ class SessionWriter:
             self._finish_chunk()
 
     def _add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
+        """Append a message to its topic's channel, and to the head if a replacement file must contain it too."""
         channel = self._channels.get(topic)
         if channel is None:
             encodings = encodings_of(topic, data)
@@ -448,7 +449,7 @@ class SessionWriter:
         loss, old = file_loss(self._out.file, self.path, self._size), self.path
         if loss in ("", self._reported):
             return
-        if loss not in _OUTCOMES:
+        if loss not in _OUTCOMES:  # the file is gone; the new one has lost nothing yet
             self._move(loss)
         self._reported = loss if loss in _OUTCOMES else ""
         outcome = _OUTCOMES.get(loss, f"all of it is in {self.path}")

@@ -495,6 +495,7 @@ def identified(document: Document) -> Finding:
 
 
 def _prior(document: Document) -> str:
+    """Return words for the prior of a fit, such as "without a prior"."""
     prior = Prior(document["prior"])
     if prior is Prior.NONE:
         return "without a prior"

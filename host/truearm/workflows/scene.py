@@ -147,9 +147,7 @@ def _identified(judged: Judgement, stem: str, start: Floats) -> Floats:
 
 
 def _fixtures(rig: Rigs, judged: Judgement) -> dict[str, Floats]:
-    """Return chucks and sockets by name: points (3,) [m] in the base frame, as estimated where the rig does not know
-    them.
-    """
+    """Return chucks and sockets (3,) [m] in the base frame by name, as estimated where the rig does not know them."""
     chucks = {}
     for name, entries in rigs_by_name(rig).items():
         prefix = f"{name}." if name else ""

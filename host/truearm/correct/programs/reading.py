@@ -158,8 +158,8 @@ class Reading:
             move.goals, move.reason = [], Reason("deep")
 
 
-def only(poses: Sequence[Floats], otherwise: Uncertain) -> Floats:
-    """Return the pose that all are. Raises Uncertain."""
+def common_pose(poses: Sequence[Floats], otherwise: Uncertain) -> Floats:
+    """Return the pose (4, 4) that all of ``poses`` are. Raises ``otherwise`` if they differ or are none."""
     if not poses or np.ptp(poses, axis=0).max() > 1e-12:
         raise otherwise
     return poses[0]
@@ -236,17 +236,15 @@ def poses_of(literals: Sequence[Literal]) -> Floats:
 
 def _poses(form: Form, numbers: Floats) -> Floats:
     """Return the poses (n, 4, 4) [m] of numbers (n, 6 or 7) that are no joint readings."""
+    xyz, angles = numbers[:, :3], numbers[:, 3:]
+    if form is Form.VECTOR:  # m and rad
+        return pose_of(xyz, angles)
+    if form is Form.ROBTARGET:
+        rotation = Rotation.from_quat(np.roll(angles, -1, axis=1))  # SciPy's scalar is the last
+    else:
+        rotation = Rotation.from_euler("ZYX", angles, degrees=True)
     poses = np.tile(np.eye(4), (len(numbers), 1, 1))
-    poses[:, :3, 3], angles = MM.to_si(numbers[:, :3]), numbers[:, 3:]
-    if form is Form.VECTOR:
-        return pose_of(numbers[:, :3], angles)
-    is_quaternion = form is Form.ROBTARGET
-    turn = (
-        Rotation.from_quat(np.roll(angles, -1, axis=1))
-        if is_quaternion
-        else Rotation.from_euler("ZYX", angles, degrees=True)
-    )
-    poses[:, :3, :3] = turn.as_matrix()
+    poses[:, :3, 3], poses[:, :3, :3] = MM.to_si(xyz), rotation.as_matrix()
     return poses
 
 

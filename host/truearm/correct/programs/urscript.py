@@ -38,7 +38,7 @@ from truearm.correct.programs.reading import (
     Uncertain,
     arithmetic,
     check_reach,
-    only,
+    common_pose,
     poses_of,
     table_of,
     words_of,
@@ -444,13 +444,14 @@ class _Reader:
     def pose(self, tokens: Tokens, scope: Scope) -> Floats:
         """Return the only pose (4, 4) of an expression. Raises Uncertain."""
         values = self.values(tokens, scope)
-        return only([value.pose() for value in values], Uncertain("several", name="it"))
+        return common_pose([value.pose() for value in values], Uncertain("several", name="it"))
 
     def tool(self, call: Call) -> Floats:
         """Return the tool (4, 4) in force at a call. Raises Uncertain."""
         setters = self.setters.get(call) or UNKNOWN
         return self.script.once(
-            setters, lambda: only([self.set_tool(setter) for setter in _in_order(setters)], Uncertain("several-tools"))
+            setters,
+            lambda: common_pose([self.set_tool(setter) for setter in _in_order(setters)], Uncertain("several-tools")),
         )
 
     def set_tool(self, setter: Entry | None) -> Floats:

@@ -389,12 +389,13 @@ class LinesLink(LinkOnTop):
         return self.runs.push(data)
 
     def _line(self, is_whole: bool, line: bytes) -> bytes:
-        joined, self._joined = self._joined, False
+        """Return a session's line for a run of bytes, or the run itself if it is not a reading or may be incomplete."""
+        is_first_joined, self._joined = self._joined, False
         if not is_whole:
             return OVERLONG + line
         try:
             converted = self.dialect.line(line)
-            return line if joined and not line.lstrip().startswith(b"{") else converted
+            return line if is_first_joined and not line.lstrip().startswith(b"{") else converted
         except InputError as exc:
             self._end = ProtocolError(f"{self.name}: {exc}")
             return line
