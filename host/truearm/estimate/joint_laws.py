@@ -113,13 +113,14 @@ def with_joint_laws(
     table: ObservationTable,
     estimate: Estimate,
     request: LawRequest,
-    nearly: LawChoice | None = None,
+    nearly: LawChoice | None,
 ) -> WithLaws:
     """Return the robot with the laws that the evidence supports, and the estimate with their parameters.
 
     Both are returned unchanged if nothing was requested, if ``auto`` has nothing to do, if the rows cannot determine
-    laws, or if no law is worthwhile. ``Estimate.joint_laws`` records which; it is None in the first two cases. Where
-    ``nearly`` the same rows were fitted before, only the laws that they kept are tried.
+    laws, or if no law is worthwhile. ``Estimate.joint_laws`` records which; it is None in the first two cases.
+    ``nearly``: the choice of laws for nearly the same rows, of which only those that were kept are tried; None: all
+    are.
     """
     if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(chain, estimate, table)):
         return WithLaws(chain, estimate)

@@ -289,14 +289,13 @@ def learn(
 ) -> Learned:
     """Learn variances and noise from at most LEARNING poses.
 
-    Without ``shared``, the rows of a pose share no error.
-
-    They start from what was learned with more laws; with a noise alone, all variances start small. Learning ends once
+    They start from what was learned with more laws; with a noise alone, all variances start small. Without ``shared``,
+    the rows of a pose share no error. Learning ends once
     the evidence is less than ``least`` with a noise that was learned beside the laws.
     """
-    (sample, stride), linearised = problem.some(), LINEARISED
+    (sample, stride), linearisations = problem.some(), LINEARISED
     if isinstance(start, Learned):
-        variances, noise, x, linearised = problem.sizes(start.variances), start.noise, start.x, 1
+        variances, noise, x, linearisations = problem.sizes(start.variances), start.noise, start.x, 1
     else:
         variances, noise, x = (START * problem.prior.cap) ** 2, start, problem.start
     shared = shared and bool((np.bincount(problem.pose) > 1).any())
@@ -304,7 +303,7 @@ def learn(
         noise = noise._replace(shared=SHARED_START, turned=SHARED_START)
     middle, rows = x, list[RowsByPose]()
     for i in steps_of(range(rounds), "learning the sizes of joint laws and noise"):
-        if i < linearised:
+        if i < linearisations:
             middle, rows = x, list(sample.rows(x))
         data = _data(sample, middle, rows, noise)
         variances = learned(data.seen, problem.prior, variances)
@@ -313,12 +312,11 @@ def learn(
             break
         samples = pose_samples(rows, (middle - fit.x)[sample.columns], fit.covariance, stride)
         x, old, noise = fit.x, noise, learned_noise(samples, noise, shared)
-        if i >= linearised - 1 and noise_change(samples, old, noise) < NOISE_END:
+        if i >= linearisations - 1 and noise_change(samples, old, noise) < NOISE_END:
             break
     nats = nats_of(data.seen, variances @ problem.prior.spectra, problem.law_of_mode)
-    of_laws = [variances[problem.law_of_variance == law] for law in range(len(problem.laws))]
-    named = (dict(zip(problem.laws, values, strict=True)) for values in (of_laws, nats))
-    return Learned(next(named), noise, next(named), fit.evidence, x)
+    of_laws = {law: variances[problem.law_of_variance == number] for number, law in enumerate(problem.laws)}
+    return Learned(of_laws, noise, dict(zip(problem.laws, nats, strict=True)), fit.evidence, x)
 
 
 def nats_of_scatter(problem: LawProblem, learning: Learned) -> float:
@@ -372,7 +370,7 @@ def _posterior(problem: LawProblem, x: Floats, data: _Data, variances: Floats) -
     covariance = half @ half.T - away @ away.T
     geometry, count = by_g * data.root, by_g.size
     covariance[:count, :count] += geometry @ geometry.T
-    order = np.argsort(np.argsort(law, kind="stable"), kind="stable")
+    order = np.argsort(np.argsort(law, kind="stable"), kind="stable")  # of x[columns] in [geometry, laws]
     value = modes @ at_sizes.z
     value[:count] += problem.sigma * data.g
     out = x.copy()

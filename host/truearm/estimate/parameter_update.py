@@ -117,9 +117,8 @@ def _small_turn(rot: Floats) -> Floats:
 def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Floats:
     """Return x (k,) after a step that moves base and points along the screw.
 
-    ``added_to`` is x + Δ, and remains otherwise.
-
-    It is returned unchanged if the turn is so small that this makes no difference, or if no parameters give the pose.
+    ``added_to`` is x + Δ, as all other numbers remain. It is returned unchanged if the turn is so small that this makes
+    no difference, or if no parameters give the pose.
     """
     numbers = base.parameter[base.named]
     pose = _posed(base, x)

@@ -156,7 +156,7 @@ def pose_rows(
 
 
 def _pieces(groups: Sequence[Group], pose: Indices, width: int) -> Iterator[list[tuple[Group, int]]]:
-    """Yield observations of some poses, pose by pose: those of each kind, and the number of them per pose."""
+    """Yield observations of poses with equally many rows of each kind: those of each kind, and how many a pose has."""
     yield from ([(group, 1)] for group in groups if group.row is None)
     measured = [group for group in groups if group.row is not None]
     if not measured:
