@@ -6,6 +6,7 @@ Each is an ``Alternative``: the table or rig transformed, and the finding to rep
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain as chained
@@ -29,6 +30,7 @@ INCH = 0.0254  # m
 MOST_PERMUTED = 4  # names: all permutations; of more, the exchanges of two and the cycles
 MOST_RENAMINGS = 60  # of columns together
 LEAST_ROWS = 5  # in which a joint is stuck
+ANOTHER = -math.log(0.03)  # nats that each reversed joint beside the first costs, as a kind of fault does
 RATIOS = {  # of numbers in another unit: factor, "are in the first, not in the second"
     "m": ((MM.scale, "millimetres", "metres"), (1.0 / MM.scale, "metres", "millimetres")),
     "rad": ((DEG.scale, "degrees", "radians"), (1.0 / DEG.scale, "radians", "degrees")),
@@ -94,7 +96,9 @@ def joints(inputs: Alternative) -> Iterator[Alternative]:
     for signs in product((1.0, -1.0), repeat=len(names)):
         if min(signs) < 0.0:
             reversed_joints = [name for name, sign in zip(names, signs, strict=True) if sign < 0.0]
-            yield with_joints(inputs, np.array(signs), identity, "joint-signs", {"joints": reversed_joints})
+            values = {"joints": reversed_joints}
+            alternative = with_joints(inputs, np.array(signs), identity, "joint-signs", values)
+            yield replace(alternative, price=(len(reversed_joints) - 1) * ANOTHER)
 
 
 def with_joints(

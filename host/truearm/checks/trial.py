@@ -48,7 +48,8 @@ class Alternative:
     """An interpretation of the inputs, and the finding if it explains the observations.
 
     ``rows`` (m,) of the table are those that it explains. It multiplies the numbers of ``rescaled`` columns by factors.
-    ``price`` [nats] is the logarithm of the number of ways from which the rows have chosen it.
+    ``price`` [nats] is the logarithm of the number of ways from which the rows have chosen it, or of the odds against
+    several mistakes.
     """
 
     chain: Chain
