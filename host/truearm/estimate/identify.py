@@ -384,8 +384,8 @@ def _errors(task: _Task, nominal: _Nominal, solution: Solution, quality: _Qualit
     if held_out is not None:
         error, error_before = (merged({}, of_robot, fitted, held) for of_robot in (of_held, of_held_before))
     else:
-        before = left_out_errors(quality.inliers, nominal.x, nominal.mounts, nominal.root, task.pose)
-        error, error_before = (merged(of_robot, {}, fitted, held) for of_robot in (quality.rows.left_out, before))
+        nominal_error = left_out_errors(quality.inliers, nominal.x, nominal.mounts, nominal.root, task.pose)
+        error, error_before = (merged(robot, {}, fitted, held) for robot in (quality.rows.left_out, nominal_error))
     unexplained: Mapping[str, MeanError] = {}
     if not quality.fit.explained:
         unexplained = mean_errors(error, poses(task.table), held_out=held_out is not None)
