@@ -145,7 +145,7 @@ def _covering(n: int, j: int) -> Floats:
 
 
 def _distinct(chain: Chain, params: Floats, stock: Floats) -> Floats:
-    """Return solutions (n, k, j) with each once; they are the same if they differ by whole turns."""
+    """Return solutions (n, k, j), NaN for those that differ from an earlier one only by whole turns."""
     distinct = stock.copy()
     for first in range(0, len(stock), CHUNK // N_STARTS):  # all pairs of a chunk's solutions take 3 MB
         rows = slice(first, first + CHUNK // N_STARTS)

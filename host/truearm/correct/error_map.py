@@ -157,7 +157,10 @@ def _reach(
 
 
 def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
-    """Return unit vectors across the first joint's axis: the second one points up (or along y) as far as possible."""
+    """Return two unit vectors (2, 3) across the first joint's axis, the second as far up (or along y) as possible.
+
+    Raises RobotError unless the joints turn about parallel axes by themselves.
+    """
     frames = joint_frames(pair.chain, pair.nominal, q)
     motions = [pair.chain.motions[i] for i in joints]
     turning = all(motion[0] == "r" for motion in motions) and not pair.chain.mimics.keys() & set(joints)
@@ -176,6 +179,7 @@ def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
 
 
 def _samples(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
+    """Return readings (n, j) on a grid of two joints over their limits, a turn at most; the others are as in q (j,)."""
     ranges = []
     for i in joints:
         joint = pair.chain.joints[i]

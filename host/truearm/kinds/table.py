@@ -108,6 +108,7 @@ class ObservationTable(Displayed):
         return f"{', '.join(f'{n} {kind}' for kind, n in counts) or 'no rows'}; {self.q.shape[1]} joints"
 
     def _columns(self) -> Mapping[str, Any]:
+        """Return the columns by title; a quantity such as a position has one for each component."""
         titles = {quantity.field: quantity.columns for quantity in quantities() if len(quantity.columns) > 1}
         columns: dict[str, Any] = {}
         for name, column in self.columns.items():

@@ -83,10 +83,10 @@ AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begi
 
 
 def check_is_observations(path: Path) -> None:
-    """Raise TableError if the name of a file is that of another kind of file that commands read."""
+    """Raise TableError for a file with one of the suffixes OTHERS: commands read it as something else."""
     if path.suffix.lower() in OTHERS:
-        rig = ("; a rig is given as ", Argument("rig")) if path.suffix.lower() == RIG else ()
-        raise TableError(f"{path}: by its name, is neither a table of observations (.csv) nor a session (.mcap)", *rig)
+        hint = ("; a rig is given as ", Argument("rig")) if path.suffix.lower() == RIG else ()
+        raise TableError(f"{path}: by its name, is neither a table of observations (.csv) nor a session (.mcap)", *hint)
 
 
 def read_table(

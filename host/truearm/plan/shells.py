@@ -111,6 +111,8 @@ def tool_poses(
 def move_costs(arm: Arm, q: Floats, weights: Floats, bar: BallBar, chuck: Point, sphere: Point) -> Floats:
     """Return the cost (m, m) of a move between any two poses: its duration squared plus a penalty if it strains a bar.
 
+    ``q`` (m, j) are the poses; ``weights`` (j,) [s/rad] make a duration of the angle by which a joint turns.
+
     Halfway between two poses of a shell the bar is shorter or longer than on it. The true robot deviates by up to 22 mm
     from the design model (with Table II's values), which leaves FREE_TRAVEL of half the travel, 37.5 mm, for the moves.
     """
