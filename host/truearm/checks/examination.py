@@ -119,8 +119,8 @@ def examined(
 
         examination = examination_of(rows_at(estimate.value), gram, covariance, table, estimate.free)
         count = used_rows(problem).size
-        if examination is None or count <= MOST_ROWS:
-            return examination
+        if examination is None or not examination.faults or count <= MOST_ROWS:
+            return examination  # nothing to apply: the rows need not be kept
         slices = [slice(first, first + BLOCK) for first in range(0, count, BLOCK)]
         move, pulled = stepper(problem, estimate.free), bool((of_loss != weight[fitted]).any())
         of_all = AllRows(

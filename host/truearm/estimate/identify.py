@@ -257,7 +257,7 @@ def _nominal(task: _Task, options: SolverOptions) -> _Nominal:
     mounted = mounting(task.chain, x[: problem.n_robot]).either & task.columns[: problem.n_robot]
     mounts = problem.columns(mounted)
     if mounted.any() or gross.any():
-        placed = fit(only(problem, ~gross), mounts, x, Options(ends=Ends(), is_near=True))
+        placed = fit(only(problem, ~gross), mounts, x, Options(ends=Ends()))
     if not mounted.any():
         return _Nominal(x, raw, x, raw, mounts, placed.information.half, gross)
     residual = observe(problem, placed.x, of_rig).residual if gross.any() else placed.information.residual
