@@ -41,7 +41,8 @@ A source samples independently, in hardware, into its own buffer:
                               if n contiguous samples wait: move them to dst[at:], the first one's index since start to
                               index (8 bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
     broken() → bool           a gap follows the waiting samples: no more will arrive before it
-    lost() → n                samples lost in the board before those just taken; counts from zero again
+    lost() → n                samples lost in the board before those just taken, or since if none wait; counts from zero
+                              again
     fault() → flags           of those just taken, FLAG_CONVERTER and FLAG_MISSING_STOP of the wire
     crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, spontaneous resets of
                               the converter)

@@ -6,11 +6,12 @@ A sensor has a `stream`, its entry in the ident without id, and `read(out)`, whi
 for each channel into `out` and returns whether the sensor answered. It takes at most a millisecond and does not
 allocate.
 
-A sample is late by up to a pass of the main loop, some milliseconds. One that was not read at all is lost and counted.
+A sample is late by up to a pass of the main loop, some milliseconds. One that was not read, or that the sensor did not
+answer, is lost and counted.
 """
 
 from truearm_wire.fast import add, copy
-from truearm_wire.messages import COUNTER, FLAG_CONVERTER
+from truearm_wire.messages import COUNTER
 
 from .toggle import LATER
 
@@ -38,7 +39,9 @@ class Polled:
         self._n = 0  # contiguous samples that wait
 
     def start(self, rate):
-        self._n = self._lost = self._missed = self._fault = 0
+        self._n = 0
+        self._lost = 0  # before the waiting samples
+        self._missed = 0  # after them
         self._gap = False  # no sample follows the waiting ones without a gap
         for i in range(8):
             self._next[i] = 0
@@ -69,17 +72,16 @@ class Polled:
         return True
 
     def broken(self):
-        return self._gap
+        return self._gap or (self._n == 0 and self._lost > 0)
 
     def lost(self):
         n = self._lost
-        self._lost = 0
+        self._lost = self._missed
+        self._missed = 0
         return n
 
     def fault(self):
-        flags = self._fault
-        self._fault = 0
-        return flags
+        return 0
 
     def _poll(self):
         """Read a sample if it is due. After a gap, none is read until the samples before it were taken."""
@@ -90,21 +92,20 @@ class Polled:
             return
         self._due = (self._due + periods * self._period_us) & COUNTER
         add(self._next, 0, 8, periods - 1)
-        self._missed += periods - 1
-        if self._n and (self._gap or periods > 1):
+        if self._n == 0:
+            copy(self._first, 0, self._next, 0, 8)
+            self._board.now(self._stamp)
+            self._lost += periods - 1
+            if not self._read():
+                self._lost += 1
+        elif self._gap or periods > 1 or not self._read():
             self._gap = True
-            self._missed += 1
-        else:
-            self._read()
+            self._missed += periods
         add(self._next, 0, 8, 1)
 
     def _read(self):
-        if self._n == 0:
-            self._lost = self._missed
-            self._missed = 0
-            copy(self._first, 0, self._next, 0, 8)
-            self._board.now(self._stamp)
         if not self._sensor.read(self._sample):
-            self._fault = FLAG_CONVERTER
+            return False
         copy(self._samples, self._n * self._size, self._sample, 0, self._size)
         self._n += 1
+        return True

@@ -140,8 +140,12 @@ class Stream:
     def _pull_rest(self):
         """Move the samples that wait before a gap or the end: no more will follow them."""
         rest = min(self._source.waiting(), self._block)
-        if rest == 0 and self.ending:
-            self._on = self.ending = False
+        if rest == 0:  # nor does a sensor answer
+            lost = self._source.lost()
+            if lost:
+                self._overrun(lost)
+            if self.ending:
+                self._on = self.ending = False
         return rest > 0 and self._pull_block(rest)
 
     @micropython.native

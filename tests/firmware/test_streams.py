@@ -4,7 +4,7 @@ import struct
 
 from tests.firmware.conftest import PERIOD_NS, Bench, ident_document, real_micropython
 from tests.wire_frames import command, frames
-from truearm_sim.box import FAULT_CRC, STALL
+from truearm_sim.box import FAULT_CRC, STALL, write_flash
 from truearm_wire import messages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, REPLY
 
@@ -265,4 +265,44 @@ def test_a_polled_sensor_has_a_stream_that_shows_every_gap():
     assert lost == beat(bench)["overruns"]
     # the fourth period of a gap is read if nothing waited before it
     assert sorted(read) == [i for i in range(536) if not 39 <= i <= 45]
+    bench.box.close()
+
+
+# A reading whose first byte is SILENT: the sensor answers wrong.
+SILENT = 200
+
+
+def driven(path):
+    """Return a streaming box whose sensor does not always answer."""
+    flash = path / "box"
+    write_flash(flash, None)
+    code = (flash / "sensors.py").read_text()
+    (flash / "sensors.py").write_text(code.replace("return True", f"return out[0] != {SILENT}"))
+    bench = Bench(real_micropython(), sensors=[TILT], flash=flash)
+    bench.start()
+    return bench
+
+
+def test_what_a_polled_sensor_does_not_answer_is_lost_and_nothing_else(tmp_path):
+    bench = driven(tmp_path)
+    found = [f for k in range(1000) for f in polled(bench, k)]
+    found += blocks(bench.give(rx=command(51, 3)), messages.STREAM_SENSOR)
+    bench.give()
+    read, last = [], 0
+    for f in found:
+        assert f[7] == (messages.FLAG_OVERRUN if f[3] > last else 0)
+        n = len(f[6].data) // 8
+        assert values(f)[::2] == tuple(range(f[3], f[3] + n))
+        assert f[4] == bench.t_start_us + (f[3] + 1) * 20_000
+        read, last = [*read, *range(f[3], f[3] + n)], f[3] + n
+    assert read == [k for k in range(1000) if k % 256 != SILENT]
+    assert beat(bench)["overruns"] == 1000 - len(read)
+    bench.box.close()
+
+
+def test_a_polled_sensor_that_never_answers_is_counted(tmp_path):
+    bench = driven(tmp_path)
+    for _ in range(100):
+        assert polled(bench, SILENT) == []
+    assert beat(bench)["overruns"] == 100
     bench.box.close()
