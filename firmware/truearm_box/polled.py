@@ -3,17 +3,21 @@
 It is a sensor on SPI, I2C or UART, at up to some hundred hertz.
 
 A sensor has a `stream`, its entry in the ident without id, and `read(out)`, which puts a little-endian 32-bit integer
-for each channel into `out` and returns whether the sensor answered. It takes at most a millisecond and does not
-allocate.
+for each channel into `out` and returns whether the sensor answered; an OSError, of I2C without an acknowledge, says no
+too. It takes at most a millisecond and does not allocate.
 
 A sample is late by up to a pass of the main loop, some milliseconds. One that was not read, or that the sensor did not
 answer, is lost and counted.
 """
 
-from truearm_wire.fast import add, copy
+import gc
+
+from truearm_wire.fast import add, copy, micropython
 from truearm_wire.messages import COUNTER
 
 from .toggle import LATER
+
+ERRORS = 50  # a collection, 10 ms, frees the memory of so many exceptions, some kB
 
 
 def polled(board, block_bytes):
@@ -37,6 +41,7 @@ class Polled:
         self._period_us = self.period_ns // 1000
         self._running = False
         self._n = 0  # contiguous samples that wait
+        self._errors = 0  # since the last collection
 
     def start(self, rate):
         self._n = 0
@@ -60,6 +65,7 @@ class Polled:
     def waiting(self):
         return self._n
 
+    @micropython.native
     def take(self, n, dst, at, index, stamp):
         self._poll()
         if self._n < n:
@@ -104,8 +110,19 @@ class Polled:
         add(self._next, 0, 8, 1)
 
     def _read(self):
-        if not self._sensor.read(self._sample):
+        if not self._answered():
             return False
         copy(self._samples, self._n * self._size, self._sample, 0, self._size)
         self._n += 1
         return True
+
+    @micropython.native
+    def _answered(self):
+        try:
+            return self._sensor.read(self._sample)
+        except OSError:
+            self._errors += 1
+        if self._errors >= ERRORS:
+            gc.collect()
+            self._errors = 0
+        return False

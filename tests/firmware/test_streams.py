@@ -1,6 +1,8 @@
 """Two sources in one ring, the box's output and inputs, and a host that is gone, grant by grant."""
 
 import struct
+import subprocess
+from pathlib import Path
 
 from tests.firmware.conftest import PERIOD_NS, Bench, ident_document, real_micropython
 from tests.wire_frames import command, frames
@@ -8,6 +10,7 @@ from truearm_sim.box import FAULT_CRC, STALL, write_flash
 from truearm_wire import messages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, REPLY
 
+ROOT = Path(__file__).parents[2]
 LED = {"idle": 0, "streaming": 1, "host gone": 2, "fault": 3}
 
 
@@ -268,8 +271,9 @@ def test_a_polled_sensor_has_a_stream_that_shows_every_gap():
     bench.box.close()
 
 
-# A reading whose first byte is SILENT: the sensor answers wrong.
-SILENT = 200
+# Readings that begin with this byte: the sensor answers wrong, or not at all.
+SILENT, ABSENT = 200, 100
+READ = f"if out[0] == {ABSENT}: raise OSError(5)\n        return out[0] != {SILENT}"
 
 
 def driven(path):
@@ -277,7 +281,7 @@ def driven(path):
     flash = path / "box"
     write_flash(flash, None)
     code = (flash / "sensors.py").read_text()
-    (flash / "sensors.py").write_text(code.replace("return True", f"return out[0] != {SILENT}"))
+    (flash / "sensors.py").write_text(code.replace("return True", READ))
     bench = Bench(real_micropython(), sensors=[TILT], flash=flash)
     bench.start()
     return bench
@@ -295,7 +299,7 @@ def test_what_a_polled_sensor_does_not_answer_is_lost_and_nothing_else(tmp_path)
         assert values(f)[::2] == tuple(range(f[3], f[3] + n))
         assert f[4] == bench.t_start_us + (f[3] + 1) * 20_000
         read, last = [*read, *range(f[3], f[3] + n)], f[3] + n
-    assert read == [k for k in range(1000) if k % 256 != SILENT]
+    assert read == [k for k in range(1000) if k % 256 not in (SILENT, ABSENT)]
     assert beat(bench)["overruns"] == 1000 - len(read)
     bench.box.close()
 
@@ -306,3 +310,59 @@ def test_a_polled_sensor_that_never_answers_is_counted(tmp_path):
         assert polled(bench, SILENT) == []
     assert beat(bench)["overruns"] == 100
     bench.box.close()
+
+
+def test_a_polled_sensor_that_is_unplugged_takes_no_memory(tmp_path):
+    bench = driven(tmp_path)
+    tx = b""
+    for _ in range(5000):
+        bench.give(us=20_000, readings=bytes([ABSENT, 0, 0, 0]) * 2)
+        tx += bench.answer.tx
+    free = [f[11] for f in frames(tx) if f[0] == HEARTBEAT]
+    assert len(free) >= 99
+    assert min(free) > free[0] - 16_000
+    assert polled(bench, 7) == []
+    (block,) = blocks(bench.give(rx=command(51, 3)), messages.STREAM_SENSOR)
+    assert (values(block), block[7]) == ((7, -7), messages.FLAG_OVERRUN)
+    bench.box.close()
+
+
+POLL = """
+import micropython
+from truearm_box.polled import Polled
+
+class Board:
+    us = 0
+    def ticks(self):
+        return self.us
+    def ticks_diff(self, a, b):
+        return a - b
+    def now(self, buf):
+        pass
+
+class Sensor:
+    stream = {"name": "tilt", "period_ns": 20000000, "channels": ["a", "b"]}
+    def read(self, out):
+        return True
+
+board, dst, index, stamp, taken = Board(), bytearray(208), bytearray(8), bytearray(4), 0
+source = Polled(board, Sensor(), 208)
+source.start(0)
+for k in range(100):
+    board.us += 20000
+    before = micropython.mem_total()
+    if source.take(25, dst, 0, index, stamp):
+        taken += 25
+    source.broken()
+    source.lost()
+    after = micropython.mem_total()
+    if k > 1 and after > before:
+        print(k, after - before)
+print(taken)
+"""
+
+
+def test_polling_allocates_nothing_not_even_a_frame_of_a_function():
+    env = {"MICROPYPATH": ":".join(str(ROOT / name) for name in ("firmware", "protocol"))}
+    done = subprocess.run([real_micropython().path, "-c", POLL], env=env, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("100\n", "")
