@@ -167,6 +167,25 @@ def test_what_is_applied_to_many_rows_is_the_fit_of_all_with_it_as_a_parameter(n
     assert not {"doubtful-residuals", "too-many-outliers", "tool-error-shown"} & findings.keys()
 
 
+def test_a_large_step_is_applied_to_the_rows_behind_it_alone() -> None:
+    """Rows between two examined ones of the item are not used: rows of other items do not tell where its step is."""
+    robot, table, rig, truth, sphere = sagging(2900, 0.0, 1e-4)
+    table, of, row = table.select(np.random.default_rng(4).permutation(len(table))), 1, 1400
+    end = point_forward(robot.chain, truth, table.q, sphere)
+    here, there = (
+        np.linalg.norm(end - 1e-3 * np.array(CHUCKS_MM[of]) - by, axis=1) for by in (0.0, [6e-3, -3e-3, 5e-3])
+    )
+    moved = (table.chuck == f"c{of}") & (np.arange(len(table)) >= row)
+    table = table.replace(value=table.value + moved * (there - here))
+    calibration = truearm.identify(robot, table, rig, options=truearm.IdentifyOptions(apply=("mean",)))
+    assert calibration.estimate.applied == ("mean",)
+    assert 0.9 < calibration.estimate.claim.chi2_reduced < 1.1
+    assert calibration.predicted is not None
+    (fault,) = calibration.estimate.faults
+    first, _ = fault.rivals[0].rows
+    assert row <= first < row + 20
+
+
 def test_noise_of_another_size_than_declared_has_the_error_that_all_rows_leave() -> None:
     robot, table, rig, *_ = sagging(4000, 0.0, 1e-4)
     too_small = replace(rig, bars={"b": replace(rig.bars["b"], sigma=5e-5)})

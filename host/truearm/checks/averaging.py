@@ -231,18 +231,21 @@ def folded_blocks(
 ) -> tuple[WhitenedFit, list[Floats], int]:
     """Return a few rows with the products of all blocks, the columns (·, d) of choices in them, and the count of rows.
 
-    ``courses`` (N, c) are the profiles of the choices over the table's rows; rows where one is NaN are left out. Rows
-    are multiplied by their pull to a ``power``. Beside them, the fit has the priors of the blocks.
+    ``courses`` (N, c) are the profiles of the choices over the table's rows; rows that a choice touches where its
+    profile is NaN are left out. Rows are multiplied by their pull to a ``power``. Beside them, the fit has the priors
+    of the blocks.
     """
     size, count, triangle = [choice.size.size for choice in choices], 0, np.zeros((0, 0))
     for block in blocks:
         course = courses[block.measured.row][block.row]
         columns = {hypothesis.name: hypothesis.columns for hypothesis in catalogue(block, every=True)}
-        pieces = [block.jac]
+        pieces, known = [block.jac], np.ones(len(course), dtype=bool)
         for choice, d, profile in zip(choices, size, course.T, strict=True):
-            pieces.append(columns.get(choice.weighed.name, np.zeros((len(course), d)))[:, :d] * profile[:, None])
+            touching = columns.get(choice.weighed.name, np.zeros((len(course), d)))[:, :d]
+            known &= np.isfinite(profile) | ~touching.any(axis=1)
+            pieces.append(touching * np.nan_to_num(profile)[:, None])
         rows = np.column_stack([*pieces, block.residual]) * block.pull[:, None] ** power
-        rows = rows[np.isfinite(course).all(axis=1)]
+        rows = rows[known]
         triangle = fold(triangle if triangle.size else np.zeros((rows.shape[1], rows.shape[1])), rows)
         count += len(rows)
     jac, *by_choice, residual = np.split(triangle, np.cumsum([block.jac.shape[1], *size]), axis=1)

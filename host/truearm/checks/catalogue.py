@@ -117,11 +117,12 @@ class Hypothesis:
     def course(self, number: int, measured: Measured) -> Floats:
         """Return the profile of a candidate over other rows of the same table (n,).
 
-        NaN near an end, where it is unknown.
+        NaN near an end, where it is unknown: rows of other items do not tell it.
         """
         candidates, examined = self.candidates, self.fit.measured
         if not candidates.drifts:
-            profile = np.interp(measured.row, examined.row, candidates.profile(number))
+            touched = rows_used(self.columns, self.fit)
+            profile = np.interp(measured.row, examined.row[touched], candidates.profile(number)[touched])
             return np.where(np.isin(profile, (0.0, 1.0)), profile, np.nan)
         drifts, own = drifts_of(measured), (examined.session[candidates.spans[number, 0]], candidates.drifts[number])
         sessions = measured.session[drifts.spans[:, 0]]
