@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -20,17 +20,35 @@ if TYPE_CHECKING:
 
 GROUPS = ("kinds", "joint_terms", "formats", "sources", "robots")
 MARK = b"[truearm."  # begins a group of ours in the file entry_points.txt of an installed package
+BROKEN: dict[EntryPoint, PlugInError] = {}  # additions that could not be loaded
+
+
+class Registry(dict[str, Any]):
+    """Entries by name. One that could not be loaded has only its name, and is raised as PlugInError when looked up."""
+
+    def __getitem__(self, name: str) -> Any:
+        if isinstance(entry := super().__getitem__(name), PlugInError):
+            raise entry
+        return entry
+
+    def items(self) -> Any:
+        """Return those that could be loaded."""
+        return {name: entry for name, entry in super().items() if not isinstance(entry, PlugInError)}.items()
+
+    def values(self) -> Any:
+        """Return those that could be loaded."""
+        return dict(self.items()).values()
 
 
 @cache
-def additions(group: str) -> Mapping[str, EntryPoint]:
-    """Return the entry points of a group, such as "kinds", by name, in the order of their names."""
+def additions(group: str) -> Sequence[EntryPoint]:
+    """Return the entry points of a group, such as "kinds", in the order of their names."""
     files = (file for folder in sys.path for file in Path(folder).glob("*-info/entry_points.txt"))
     if not any(MARK in file.read_bytes() for file in files):
-        return {}  # the import below takes a third of the time of --help
+        return ()  # the import below takes a third of the time of --help
     from importlib.metadata import entry_points
 
-    return {entry.name: entry for entry in sorted(entry_points(group=f"truearm.{group}"))}
+    return sorted(set(entry_points(group=f"truearm.{group}")))
 
 
 @contextmanager
@@ -42,23 +60,28 @@ def blamed(place: str) -> Iterator[None]:
         raise PlugInError("wrong-plug-in", place=place, reason=f"{type(exc).__name__}: {exc}") from exc
 
 
-def place_of(entry: EntryPoint) -> str:
-    """Return how a message names an entry point."""
-    return f"{entry.group}: {entry.name} = {entry.value!r}"
-
-
-def with_additions(group: str, own: Mapping[str, Any], form: Callable[[Any], Any]) -> dict[str, Any]:
+def with_additions(group: str, own: Mapping[str, Any], form: Callable[[Any], Any]) -> Registry:
     """Return truearm's own entries of a registry and, after them, what other packages add, each as ``form`` makes it.
 
-    Raises PlugInError for one that has a name of truearm's, cannot be imported or has another form.
+    One that has a name of truearm's, cannot be imported or has another form is in BROKEN.
     """
-    registry = dict(own)
-    for name, entry in additions(group).items():
-        with blamed(place_of(entry)):
-            if name in own:
-                raise ValueError("truearm has an entry of this name; choose another")
-            registry[name] = form(entry.load())
+    registry = Registry(own)
+    for entry in additions(group):
+        try:
+            with blamed(f"{entry.group}: {entry.name} = {entry.value!r}"):
+                if entry.name in own:
+                    raise ValueError("truearm has an entry of this name; choose another")
+                registry[entry.name] = form(entry.load())
+        except PlugInError as exc:
+            BROKEN[entry] = exc
+            registry.setdefault(entry.name, exc)
     return registry
+
+
+def check_loaded(group: str) -> None:
+    """Raise PlugInError if an addition to a registry, which was read before, could not be loaded."""
+    for error in (error for entry, error in BROKEN.items() if entry.group == f"truearm.{group}"):
+        raise error
 
 
 def instance(kind: type) -> Callable[[Any], Any]:
@@ -77,7 +100,7 @@ def plug_in_error(error: BaseException) -> PlugInError | None:
 
     None if it is not in the traceback.
     """
-    packages = {entry.module.partition(".")[0] for group in GROUPS for entry in additions(group).values()}
+    packages = {entry.module.partition(".")[0] for group in GROUPS for entry in additions(group)}
     for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
         if str(frame.f_globals.get("__name__")).partition(".")[0] in packages:
             code = frame.f_code

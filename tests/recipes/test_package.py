@@ -129,7 +129,21 @@ MISTAKES = {
     "an import that fails": ("import numpy", "import nothing_such, numpy", POSES, ["truearm.kinds", "nothing_such"]),
     "no kind": ("KIND = Kind", "KINDS = Kind", POSES, ["truearm.kinds", "KIND"]),
     "another's name": ("inclinometer =", "position =", POSES, ["truearm.kinds", "position"]),
-    "a format without a module": ("truearm_lab:SCREWS", "lab:SCREWS", POSES, ["truearm.formats", "screws", "lab"]),
+    "a format without a module": (
+        *("truearm_lab:SCREWS", "lab:SCREWS"),
+        ("export", "result.json", "--format", "screws", "--out", "w.json", "--over", "poses.csv"),
+        ["truearm.formats", "screws", "lab"],
+    ),
+    "a source without a module": (
+        *("truearm_lab:SEMICOLONS", "lab:SEMICOLONS"),
+        ("record", "--box", "socket://127.0.0.1:1", "--address", "semicolons://127.0.0.1:1", "--out", "r.mcap"),
+        ["truearm.sources", "semicolons", "lab"],
+    ),
+    "a robot without a package": (
+        *("ur3lab = truearm_lab", "ur3lab = lab"),
+        ("identify", "poses.csv", "--model", "ur3lab", "--rig", "rig.toml"),
+        ["truearm.robots", "ur3lab", "lab"],
+    ),
     "a robot without a file": (
         "truearm.robots]\nur3lab",
         "truearm.robots]\nur9",
@@ -150,6 +164,30 @@ MISTAKES = {
     ),
     "a term of another class": ("TERM = Spring", "TERM = Structure", POSES, ["truearm.joint_terms", "spring"]),
 }
+
+
+@pytest.mark.parametrize("group", ["kinds", "joint_terms", "formats", "sources", "robots"])
+def test_what_cannot_be_loaded_stops_only_what_needs_it(group, work, said, tmp_path):
+    info = tmp_path / "other-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[truearm.{group}]\nbad = nothing_such:X\n")
+    other = Copy(tmp_path / "copy", ())
+    other.folder, other.paths = work.folder, [*work.paths, tmp_path]
+    commands = (
+        *(("record", "--help"), ("plan", "ballbar", "--help"), ("export", "--help"), ("box", "list")),
+        ("session", "recover", "s.mcap", "--out", str(tmp_path / "recovered.mcap")),
+        ("inspect", "s.mcap"),
+        ("export", "result.json", "--format", "screws", "--out", str(tmp_path / "w.json"), "--over", "poses.csv"),
+        ("identify", "poses.csv", "--model", "puma560", "--rig", "rig.toml", "--joint-laws", "none"),
+    )
+    needed = commands[-2:] if group in ("kinds", "joint_terms") else ()
+    done = dict(zip(commands, other.run_each(*commands), strict=True))
+    assert [command for command, each in done.items() if each.code == 2] == [*needed]
+    lines = [[line for line in each.err.splitlines() if "nothing_such" in line] for each in done.values()]
+    assert {len(line) for line in lines} <= {0, 1}
+    assert all(line[0].startswith(f"warning: truearm.{group}: bad = ") for line in lines[:-2] if line)
+    assert lines[-1]
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -19,7 +19,7 @@ from typing import Any
 
 import click
 
-from truearm.additions import plug_in_error
+from truearm.additions import BROKEN, plug_in_error
 from truearm.cli.output import print_json
 from truearm.cli.project import CommandGroup, defaults, missing_file, option_for
 from truearm.errors import ExitCode, PlugInError, TruearmError, exit_code_table
@@ -196,8 +196,8 @@ def _shown_progress() -> AbstractContextManager[None]:
 def _run(arguments: list[str]) -> int:
     if _COMPLETE in os.environ:  # the shell asks for completions on standard output
         return int(command_tree().main(prog_name="truearm", standalone_mode=False) or ExitCode.DONE)
-    command = tree_for(arguments)
     try:
+        command = tree_for(arguments)
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
         answers = defaults(Path.cwd())
         context = command.make_context("truearm", list(arguments), obj=arguments, default_map=answers)
@@ -206,6 +206,10 @@ def _run(arguments: list[str]) -> int:
         sys.stdout.flush()
     except click.exceptions.Exit as exc:
         return int(exc.exit_code)
+    finally:
+        for error in BROKEN.values():
+            if str(error) != str(sys.exc_info()[1]):
+                print("warning: " + one_line(str(error)), file=sys.stderr)
     return ExitCode.DONE
 
 

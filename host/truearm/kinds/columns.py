@@ -116,7 +116,9 @@ class KindColumns:
 def declared() -> Mapping[str, KindColumns]:
     """Return what every kind declares, by its name."""
     bundled = {name: import_module(f"{__package__}.{name}").KIND for name in NAMES}
-    return with_additions("kinds", bundled, instance(KindColumns)) | ADDED
+    registry = with_additions("kinds", bundled, instance(KindColumns))
+    registry.update(ADDED)
+    return registry
 
 
 @cache

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
+from truearm.additions import check_loaded
 from truearm.kinds.columns import ADDED, GROUPS, blank_row, declared, distinct, identifiers, quantities
 
 if TYPE_CHECKING:
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 def kinds() -> Mapping[str, Kind]:
     """Return every kind by its name, which its rows have in the column ``kind``."""
     return cast("Mapping[str, Kind]", declared())
+
+
+def check_kinds() -> None:
+    """Raise PlugInError if a kind of another package could not be loaded, whose rows would not be read."""
+    declared()
+    check_loaded("kinds")
 
 
 def add_kind(name: str, kind: Kind) -> None:

@@ -106,6 +106,7 @@ def parse_table(
     text: str, name: str, joint_units: Sequence[str] | None = None, mimics: Mapping[int, Mimic] = NO_MIMICS
 ) -> ObservationTable:
     """Parse the text of a table; ``name`` stands for the file in messages and in ``source``. See ``read_table``."""
+    registry.check_kinds()
     cells = read_csv(text, name, table_titles(), PAGE, LAST_ROW)
     q, kind = cells.joints(joint_units, mimics), np.array(cells.cells("kind"))
     content: dict[str, Any] = {column: cells.identifiers(column) for column in identifier_columns()}

@@ -22,7 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from truearm.additions import with_additions
+from truearm.additions import check_loaded, with_additions
 from truearm.model.chain_structure import Structure, completed
 from truearm.model.joint_terms.term import Gain, Offset, Term
 from truearm.types import Floats
@@ -49,7 +49,9 @@ def terms() -> tuple[type[Term], ...]:
     """Return offset, gain and the terms of TERM_FILES, then those of packages (entry points "truearm.joint_terms")."""
     further = {file: import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES}
     bundled = {"offset": Offset, "gain": Gain, **further}
-    return tuple(with_additions("joint_terms", bundled, _term).values())
+    registry = with_additions("joint_terms", bundled, _term)
+    check_loaded("joint_terms")
+    return tuple(registry.values())
 
 
 @dataclass(frozen=True, eq=False)

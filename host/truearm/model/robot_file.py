@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import difflib
 import re
+from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from truearm.additions import additions, blamed, place_of
+from truearm.additions import additions, blamed, with_additions
 from truearm.disk import read_text
-from truearm.errors import Argument, RobotError
+from truearm.errors import Argument, PlugInError, RobotError
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
@@ -38,7 +39,7 @@ def builtin_names() -> tuple[str, ...]:
     """Return the names of the built-in robots, sorted."""
     files = resources.files(__package__).joinpath("robots").iterdir()
     bundled = (file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX))
-    return tuple(sorted({*bundled, *additions("robots")}))
+    return tuple(sorted({*bundled, *(entry.name for entry in additions("robots"))}))
 
 
 def builtin_text(name: str) -> str:
@@ -48,14 +49,18 @@ def builtin_text(name: str) -> str:
     bundled = resources.files(__package__).joinpath("robots", name + SUFFIX)
     if bundled.is_file():
         return bundled.read_text("utf-8")
-    entry = additions("robots")[name]
-    with blamed(place_of(entry)):
-        return resources.files(entry.load()).joinpath(name + SUFFIX).read_text("utf-8")
+    package = with_additions("robots", {}, resources.files)[name]
+    with blamed(f"truearm.robots: {name}"):
+        return str(package.joinpath(name + SUFFIX).read_text("utf-8"))
 
 
 def names_with_branch() -> tuple[str, ...]:
     """Return the names of the built-in robots with a ``[branch]`` table, which ``truearm plan`` requires."""
-    return tuple(name for name in builtin_names() if re.search(r"^\[branch\]", builtin_text(name), re.MULTILINE))
+    found = []
+    for name in builtin_names():
+        with suppress(PlugInError):  # raised when this robot is named
+            found += [name] if re.search(r"^\[branch\]", builtin_text(name), re.MULTILINE) else []
+    return tuple(found)
 
 
 class RobotChoice(NamedTuple):

@@ -18,7 +18,7 @@ from truearm.disk import check_outputs, same_file
 from truearm.errors import Argument, InputError, RigError, SessionError, noting
 from truearm.estimate.result_file import Input, input_of
 from truearm.findings import Finding
-from truearm.kinds.registry import kinds, with_every_name
+from truearm.kinds.registry import check_kinds, kinds, with_every_name
 from truearm.kinds.rig_file import check_against_rigs, read_noise, read_rig, with_noise
 from truearm.kinds.table import ObservationTable
 from truearm.kinds.table_file import check_against_rig, concatenate, read_table
@@ -102,6 +102,7 @@ def read_sources(sources: Sources, chain: Chain | None, robot: Robot | None = No
     ``chain`` is the robot's; None skips the check of its joints. With the nominal ``robot``, labels that the readings
     do not support are left out.
     """
+    check_kinds()
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
     rigs = {name: read_rig(rig) if isinstance(rig, Path) else rig for name, rig in sources.rigs.items()}

@@ -104,8 +104,9 @@ def open_source(url: str, clock: Clock) -> Reopening:
     from truearm.record.links import Reopening
 
     scheme = check_address(url)
+    module = SOURCES[scheme].module
     with blamed(f"joint source {scheme}"):
-        connect: Callable[[str, Clock, Link | None], Link | None] = _module(SOURCES[scheme].module).connect
+        connect: Callable[[str, Clock, Link | None], Link | None] = _module(module).connect
     last: Link | None = None
 
     def open_link() -> Link:
