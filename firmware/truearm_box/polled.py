@@ -20,8 +20,21 @@ from .toggle import LATER
 ERRORS = 50  # a collection, 10 ms, frees the memory of so many exceptions, some kB
 
 
+TAKEN = ("adc", "mag", "event", "heartbeat", "ident", "temperature", "sync", "reply", "other", "console")
+
+
 def polled(board, block_bytes):
     """Return a source for each further sensor of the board."""
+    names = list(TAKEN)  # of topics of the host
+    for sensor in board.sensors:
+        name, period_ns = sensor.stream["name"], sensor.stream["period_ns"]
+        if name in names:
+            raise ValueError("stream %s: the name is taken" % name)
+        if not 1 <= len(sensor.stream["channels"]) <= block_bytes // 4:
+            raise ValueError("stream %s: it needs 1 to %d channels" % (name, block_bytes // 4))
+        if not 1000000 <= period_ns <= 4000000000 or period_ns % 1000:
+            raise ValueError("stream %s: its period is not in whole microseconds, 1 ms to 4 s" % name)
+        names.append(name)
     return [Polled(board, sensor, block_bytes) for sensor in board.sensors]
 
 

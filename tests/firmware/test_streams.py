@@ -4,9 +4,12 @@ import struct
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from tests.firmware.conftest import PERIOD_NS, Bench, ident_document, real_micropython
 from tests.wire_frames import command, frames
-from truearm_sim.box import FAULT_CRC, STALL, write_flash
+from truearm.session.frames import RESERVED_NAMES
+from truearm_sim.box import FAULT_CRC, STALL, BoxProcess, BoxSetup, Grant, write_flash
 from truearm_wire import messages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, REPLY
 
@@ -366,3 +369,17 @@ def test_polling_allocates_nothing_not_even_a_frame_of_a_function():
     env = {"MICROPYPATH": ":".join(str(ROOT / name) for name in ("firmware", "protocol"))}
     done = subprocess.run([real_micropython().path, "-c", POLL], env=env, capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("100\n", "")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [({"name": name}, "the name is taken") for name in ("adc", "mag", *sorted(RESERVED_NAMES))]
+    + [({"channels": TILT["channels"][:1] * n}, "1 to 52 channels") for n in (0, 53)]
+    + [({"period_ns": n}, "its period is not") for n in (500, 999_000, 20_000_500, 4_000_001_000)],
+)
+def test_a_polled_sensor_with_a_wrong_stream_is_refused_at_boot(wrong, words):
+    box = BoxProcess(real_micropython(), BoxSetup(sensors=[TILT | wrong]), 1)
+    answer = box.grant(Grant(0))
+    assert answer.end == "reset"
+    assert words.encode() in answer.tx
+    box.close()
