@@ -17,6 +17,7 @@ from truearm_wire.messages import COUNTER
 
 from .toggle import LATER
 
+BLOCK_US = 500000  # a slow sensor's block is not longer
 ERRORS = 50  # a collection, 10 ms, frees the memory of so many exceptions, some kB
 
 
@@ -44,14 +45,14 @@ class Polled:
         self._board = board
         self._sensor = sensor
         self._size = 4 * self.channels
-        self._room = block_bytes // self._size  # samples of a block
-        self._samples = bytearray(self._room * self._size)  # contiguous ones
+        self.period_ns = sensor.stream["period_ns"]
+        self._period_us = self.period_ns // 1000
+        self.block = max(1, min(block_bytes // self._size, BLOCK_US // self._period_us))  # samples
+        self._samples = bytearray(self.block * self._size)  # contiguous ones
         self._sample = bytearray(self._size)
         self._first = bytearray(8)  # index of the oldest
         self._next = bytearray(8)  # index of the next
         self._stamp = bytearray(8)  # time of the oldest
-        self.period_ns = sensor.stream["period_ns"]
-        self._period_us = self.period_ns // 1000
         self._running = False
         self._n = 0  # contiguous samples that wait
         self._errors = 0  # since the last collection

@@ -36,7 +36,7 @@ class Streams:
 
             self._polled = polled(board, BLOCK_BYTES)
         for source in self._polled:
-            self._streams.append(Stream(board, source, len(self._streams), ring))
+            self._streams.append(Stream(board, source, len(self._streams), ring, source.block))
         self.running = False
 
     def start(self, osr, mag_period_ns):
@@ -94,12 +94,12 @@ class Streams:
 class Stream:
     """The stream of one source."""
 
-    def __init__(self, board, source, number, ring):
+    def __init__(self, board, source, number, ring, block=BLOCK_BYTES):
         self._board = board
         self._source = source
         self._ring = ring
         self._sample = 4 * source.channels  # bytes
-        self._block = BLOCK_BYTES // self._sample  # samples
+        self._block = min(block, BLOCK_BYTES // self._sample)  # samples
         self._template = bytearray(_SAMPLES + 4)
         put_head(self._template, put_head(self._template, _SAMPLES, 6, SINT32_LE), 2, BLOCK_BYTES)
         self._template[HEAD] = 0x88  # an array of eight

@@ -383,3 +383,16 @@ def test_a_polled_sensor_with_a_wrong_stream_is_refused_at_boot(wrong, words):
     assert answer.end == "reset"
     assert words.encode() in answer.tx
     box.close()
+
+
+@pytest.mark.parametrize(("period_ms", "block"), [(1000, 1), (100, 5)])
+def test_a_slow_sensor_is_heard_about_twice_a_second_or_at_once(period_ms, block):
+    bench = Bench(real_micropython(), sensors=[TILT | {"period_ns": 1_000_000 * period_ms}])
+    bench.start()
+    found = []
+    for k in range(20):
+        found += blocks(bench.give(us=1000 * period_ms, readings=struct.pack("<2i", k, -k)), messages.STREAM_SENSOR)
+        assert sum(len(f[6].data) // 8 for f in found) == (k + 1) // block * block
+    assert [values(f)[::2] for f in found] == [tuple(range(k, k + block)) for k in range(0, 20, block)]
+    assert {f[7] for f in found} == {0}
+    bench.box.close()
