@@ -186,6 +186,19 @@ def test_a_large_step_is_applied_to_the_rows_behind_it_alone() -> None:
     assert row <= first < row + 20
 
 
+@pytest.mark.parametrize("n", [900, 2400])
+def test_hysteresis_follows_the_row_before_in_the_table(n) -> None:
+    """Even if that is neither examined nor fitted."""
+    robot, table, rig, truth, sphere = sagging(n, 0.0, 1e-4)
+    chuck = 1e-3 * np.array(CHUCKS_MM)[[int(name[1]) for name in table.chuck]]
+    length = np.linalg.norm(point_forward(robot.chain, truth, table.q, sphere) - chuck, axis=1)
+    table = table.replace(value=table.value + 3e-4 * np.sign(np.diff(length, prepend=length[:1])))
+    held, options = np.arange(n) % 10 == 3, truearm.IdentifyOptions(apply=("bar.hysteresis",))
+    estimate = truearm.identify(robot, table, rig, hold_out=held, options=options).estimate
+    assert estimate.applied == ("bar.hysteresis",)
+    assert 0.85 < estimate.claim.chi2_reduced < 1.15
+
+
 def test_noise_of_another_size_than_declared_has_the_error_that_all_rows_leave() -> None:
     robot, table, rig, *_ = sagging(4000, 0.0, 1e-4)
     too_small = replace(rig, bars={"b": replace(rig.bars["b"], sigma=5e-5)})

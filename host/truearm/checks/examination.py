@@ -107,6 +107,7 @@ def examined(
     sigma = estimate.prior_sigma[: len(chain.parameters)]
     problem = only(build_problem(chain, rig, table, sigma, effects, fitted), estimate.weight[fitted] > 0.0)
     measured = measured_order(table, chain, fitted)
+    whole = None if used_rows(problem).size == len(table) else build_problem(chain, rig, table)
     gram = tool_gram(chain, rig, table.select(~estimate.left_out), estimate, any_base)
     covariance = estimate.covariance[np.ix_(estimate.free, estimate.free)]
     laws = estimate.law_parameters, estimate.law_prior
@@ -115,7 +116,7 @@ def examined(
         of_loss = estimate.weight[fitted]
 
         def rows_at(x: Floats, rows: slice | None = None) -> WhitenedFit:
-            return whitened_fit(problem, x, estimate.free, measured, weight[fitted], of_loss, laws, rows)
+            return whitened_fit(problem, x, estimate.free, measured, weight[fitted], of_loss, laws, (rows, whole))
 
         examination = examination_of(rows_at(estimate.value), gram, covariance, table, estimate.free)
         count = used_rows(problem).size

@@ -161,22 +161,30 @@ def whitened_fit(
     weight: Floats,
     of_loss: Floats,
     laws: tuple[range, Floats | None] = (range(0), None),
-    rows: slice | None = None,
+    taken: tuple[slice | None, Problem | None] = (None, None),
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
-    These are some ``rows`` of the problem's, or else MOST_ROWS of all.
+    ``taken`` are some of its rows, or else MOST_ROWS of all, and the problem of the whole table if that has more.
 
     ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight``
     (n,), and was fitted with the weight ``of_loss`` (n,). The prior of the coefficients of joint ``laws`` is knowledge:
     it follows from the rows themselves, and without it they would explain anything. With it comes a root (l, l) of its
     precision.
     """
+    rows, whole = taken
+    row_in_table = np.arange(problem.n_rows) if whole is None else measured.row
+    whole, x_whole = (problem, x) if whole is None else (whole, whole.at(dict(zip(problem.names, x, strict=True))))
     rows_used = used_rows(problem)
     examined = rows_used[:: -(-rows_used.size // MOST_ROWS)] if rows is None else rows_used[rows]
     problem, measured = only(problem, np.isin(np.arange(problem.n_rows), examined)), measured.take(examined)
     p, k = problem.n_robot, int(columns.sum())
-    faults = [{(f.item, f.form): f for f in group.faults(problem.chain, x)} for group in problem.groups]
+    faults = [
+        {(f.item, f.form): f for f in faults_of(whole, x_whole, row_in_table[group.row])}
+        if group.row is not None
+        else {}
+        for group in problem.groups
+    ]
     forms = {key: fault for group_faults in faults for key, fault in group_faults.items()}
     pieces, knowledge, components = [], [np.zeros((0, k + 1))], 0
     for group, group_faults in zip(problem.groups, faults, strict=True):
@@ -237,6 +245,20 @@ def whitened_fit(
         },
         measured=measured,
     )
+
+
+def faults_of(whole: Problem, x: Floats, row: Indices) -> list[KindFault]:
+    """Return the faults at x (P,) of some rows (n,) of one group, each given the row before it in the ``whole`` table.
+
+    Hysteresis depends on that.
+    """
+    for group in whole.groups:
+        if group.row is not None and row[0] in group.row:
+            inside = np.flatnonzero(np.isin(group.row, row))
+            taken = np.union1d(inside, np.maximum(inside - 1, 0))
+            faults, kept = group.take(taken).faults(whole.chain, x), np.searchsorted(taken, inside)
+            return [fault._replace(columns=fault.columns[:, kept]) for fault in faults]
+    return []
 
 
 def _whitened_group(
