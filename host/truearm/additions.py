@@ -56,21 +56,24 @@ def blamed(place: str) -> Iterator[None]:
     """Turn every exception while an addition is loaded into a PlugInError that names its ``place``."""
     try:
         yield
-    except Exception as exc:
+    except (Exception, SystemExit) as exc:
         raise PlugInError("wrong-plug-in", place=place, reason=f"{type(exc).__name__}: {exc}") from exc
 
 
 def with_additions(group: str, own: Mapping[str, Any], form: Callable[[Any], Any]) -> Registry:
     """Return truearm's own entries of a registry and, after them, what other packages add, each as ``form`` makes it.
 
-    One that has a name of truearm's, cannot be imported or has another form is in BROKEN.
+    One that has a name of truearm's or of another package's, cannot be imported or has another form is in BROKEN.
     """
     registry = Registry(own)
-    for entry in additions(group):
+    entries = additions(group)
+    for entry in {entry.name: entry for entry in entries}.values():
         try:
             with blamed(f"{entry.group}: {entry.name} = {entry.value!r}"):
                 if entry.name in own:
                     raise ValueError("truearm has an entry of this name; choose another")
+                if others := [other.value for other in entries if other.name == entry.name and other != entry]:
+                    raise ValueError(f"{' and '.join(others)} of another package has the same name")
                 registry[entry.name] = form(entry.load())
         except PlugInError as exc:
             BROKEN[entry] = exc
@@ -96,15 +99,19 @@ def instance(kind: type) -> Callable[[Any], Any]:
 
 
 def plug_in_error(error: BaseException) -> PlugInError | None:
-    """Return an error that names the line of another package's code in which an exception arose.
+    """Return an error that names the last line of another package's code that led to an exception.
 
-    None if it is not in the traceback.
+    It also names the line of truearm, if the exception arose in what that line called. None if no other package is in
+    the traceback.
     """
     packages = {entry.module.partition(".")[0] for group in GROUPS for entry in additions(group)}
-    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+    frames = list(traceback.walk_tb(error.__traceback__))
+    for frame, line in reversed(frames):
         if str(frame.f_globals.get("__name__")).partition(".")[0] in packages:
             code = frame.f_code
-            reason = f"{type(error).__name__}: {error}"
+            (last, at), reason = frames[-1], f"{type(error).__name__}: {error}"
+            if str(module := last.f_globals.get("__name__")).startswith("truearm."):
+                reason += f" (raised by {module}, line {at})"
             return PlugInError(
                 "wrong-plug-in", place=f"{code.co_filename}, line {line}, in {code.co_name}", reason=reason
             )

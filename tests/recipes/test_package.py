@@ -127,6 +127,23 @@ MISTAKES = {
     "no unit": ('{"rad": "measured', '{"m": "measured', POSES, ["truearm.kinds", "residual", "rad"]),
     "an unknown unit": ('("inclination",), "rad"', '("inclination",), "gon"', POSES, ["truearm.kinds", "gon"]),
     "an import that fails": ("import numpy", "import nothing_such, numpy", POSES, ["truearm.kinds", "nothing_such"]),
+    "a module that ends Python": ("import numpy as np", "raise SystemExit(0)", POSES, ["truearm.kinds", "SystemExit"]),
+    "two of one name": (
+        *("inclinometer = truearm_lab.inclinometer:KIND", "inclinometer = lab:KIND\ninclinometer = lab:KIND2"),
+        *(POSES, ["truearm.kinds", "inclinometer", "lab:KIND ", "'lab:KIND2'"]),
+    ),
+    "a file that is missing": (
+        "angle + gather",
+        'open("no_such.txt") + gather',
+        POSES,
+        ["inclinometer.py", "evaluate", "no_such.txt"],
+    ),
+    "a wrong call of truearm": (
+        "angle + gather",
+        "gather(3.0, self.constants, self.zero) + gather",
+        POSES,
+        ["inclinometer.py", "evaluate", "raised by truearm."],
+    ),
     "no kind": ("KIND = Kind", "KINDS = Kind", POSES, ["truearm.kinds", "KIND"]),
     "another's name": ("inclinometer =", "position =", POSES, ["truearm.kinds", "position"]),
     "a format without a module": (

@@ -139,6 +139,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_stdout()
         return ExitCode.FAILED
     except OSError as exc:  # files and links raise TruearmError; this is standard output, for example on a full disk
+        if error := plug_in_error(exc):
+            _complain(str(error), error.finding, arguments)
+            return error.exit_code
         _discard_stdout()
         _complain(f"cannot write: {exc.strerror or exc}")
         return ExitCode.FAILED

@@ -89,12 +89,12 @@ def identified_arm(home: Path, options: FleetOptions) -> Arm:
             report_files(result, replace(files, command=f"truearm report {result.name}"), page, Issue(project))
     except TruearmError as exc:
         return replace(row, code=exc.exit_code, verdict=str(exc))
-    except OSError as exc:
-        return replace(row, code=ExitCode.FAILED, verdict=f"{exc.filename}: {system_reason(exc)}")
     except Exception as exc:
-        if (error := plug_in_error(exc)) is None:
-            raise
-        return replace(row, code=error.exit_code, verdict=str(error))
+        if error := plug_in_error(exc):
+            return replace(row, code=error.exit_code, verdict=str(error))
+        if isinstance(exc, OSError):
+            return replace(row, code=ExitCode.FAILED, verdict=f"{exc.filename}: {system_reason(exc)}")
+        raise
     return row
 
 
