@@ -56,11 +56,11 @@ def builtin_text(name: str) -> str:
 
 def names_with_branch() -> tuple[str, ...]:
     """Return the names of the built-in robots with a ``[branch]`` table, which ``truearm plan`` requires."""
-    found = []
+    names: list[str] = []
     for name in builtin_names():
         with suppress(PlugInError):  # raised when this robot is named
-            found += [name] if re.search(r"^\[branch\]", builtin_text(name), re.MULTILINE) else []
-    return tuple(found)
+            names += [name] if re.search(r"^\[branch\]", builtin_text(name), re.MULTILINE) else []
+    return tuple(names)
 
 
 class RobotChoice(NamedTuple):
