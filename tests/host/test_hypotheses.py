@@ -18,7 +18,7 @@ from truearm.checks.examination import examined, tool_gram
 from truearm.checks.labels import relabelled
 from truearm.checks.search import chance_of_ranks, gain, left_out, searched
 from truearm.checks.trial import Alternative
-from truearm.checks.whitened import DECLARED, learned_noise, whitened_fit
+from truearm.checks.whitened import DECLARED, RowWeights, learned_noise, whitened_fit
 from truearm.estimate.circumstances import measured_order
 from truearm.estimate.problem import build_problem
 from truearm.kinds import ball_bar
@@ -39,7 +39,7 @@ def at_values(world, values, sigma=None, free=None):
     columns = problem.columns(of.free if free is None else free)
     how = measured_order(world.table, of.chain, np.ones(len(of.q), bool))
     even = np.ones(len(of.q))
-    return whitened_fit(problem, values, columns, how, even, even)
+    return whitened_fit(problem, values, columns, how, RowWeights(even, even))
 
 
 def fitted(world):

@@ -12,7 +12,7 @@ from truearm.checks.averaging import AllRows, Average, Choice, averaged, unseen
 from truearm.checks.catalogue import LAST_MOVE
 from truearm.checks.evidence import Design, Weighed, amount_of
 from truearm.checks.search import RIVAL, Search, columns_of, gain, left_out, search_with_noise
-from truearm.checks.whitened import MOST_ROWS, WhitenedFit, used_rows, whitened_fit
+from truearm.checks.whitened import MOST_ROWS, RowWeights, WhitenedFit, used_rows, whitened_fit
 from truearm.errors import Argument, InputError
 from truearm.estimate.circumstances import measured_order
 from truearm.estimate.outliers import HEAVY, MOST_BAD, single
@@ -113,17 +113,17 @@ def examined(
     laws = estimate.law_parameters, estimate.law_prior
 
     def by_weights(weight: Floats) -> Examination | None:
-        of_loss = estimate.weight[fitted]
+        weights = RowWeights(weight[fitted], estimate.weight[fitted])
 
         def rows_at(x: Floats, rows: slice | None = None) -> WhitenedFit:
-            return whitened_fit(problem, x, estimate.free, measured, weight[fitted], of_loss, laws, (rows, whole))
+            return whitened_fit(problem, x, estimate.free, measured, weights, laws, rows, whole)
 
         examination = examination_of(rows_at(estimate.value), gram, covariance, table, estimate.free)
         count = used_rows(problem).size
         if examination is None or not examination.faults or count <= MOST_ROWS:
             return examination  # nothing to apply: the rows need not be kept
         slices = [slice(first, first + BLOCK) for first in range(0, count, BLOCK)]
-        move, pulled = stepper(problem, estimate.free), bool((of_loss != weight[fitted]).any())
+        move, pulled = stepper(problem, estimate.free), bool((weights.fitted != weights.examined).any())
         of_all = AllRows(
             estimate.value, estimate.free, move, measured, pulled, lambda x: (rows_at(x, rows) for rows in slices)
         )
@@ -156,7 +156,7 @@ def faults_beside(judgement: Judgement, ways: Ways, table: ObservationTable) -> 
     problem = replace(problem, prior_sigma=np.where(judgement.settled, problem.prior_sigma, np.inf))
     measured = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
     even = np.ones(len(table))
-    fit = whitened_fit(problem, x, ways.columns, measured, even, even)
+    fit = whitened_fit(problem, x, ways.columns, measured, RowWeights(even, even))
     k = ways.matrix.shape[1]
     if fit.residual.size <= k:
         return ()

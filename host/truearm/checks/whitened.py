@@ -147,6 +147,13 @@ class Kernel:
 DECLARED = Kernel()
 
 
+class RowWeights(NamedTuple):
+    """The weights (n,) of a table's rows: the declared variance is divided by that with which they are examined."""
+
+    examined: Floats
+    fitted: Floats  # by the loss
+
+
 def used_rows(problem: Problem) -> Indices:
     """Return the rows that a problem has, in order."""
     rows = np.concatenate([group.row for group in problem.groups if group.row is not None])
@@ -158,21 +165,18 @@ def whitened_fit(
     x: Floats,
     columns: NDArray[np.bool_],
     measured: Measured,
-    weight: Floats,
-    of_loss: Floats,
+    weights: RowWeights,
     laws: tuple[range, Floats | None] = (range(0), None),
-    taken: tuple[slice | None, Problem | None] = (None, None),
+    rows: slice | None = None,
+    whole: Problem | None = None,
 ) -> WhitenedFit:
     """Return the whitened rows of a fit of x[columns] that ended at x (P,); rows left out are not in ``problem``.
 
-    ``taken`` are some of its rows, or else MOST_ROWS of all, and the problem of the whole table if that has more.
-
-    ``measured`` describes the rows of the problem's table. Each has the declared variance divided by its ``weight``
-    (n,), and was fitted with the weight ``of_loss`` (n,). The prior of the coefficients of joint ``laws`` is knowledge:
-    it follows from the rows themselves, and without it they would explain anything. With it comes a root (l, l) of its
-    precision.
+    These are some ``rows`` of the problem's, or else MOST_ROWS of all; ``whole`` is the problem of the whole table if
+    that has more. ``measured`` describes the rows of the problem's table. The prior of the coefficients of joint
+    ``laws`` is knowledge: it follows from the rows themselves, and without it they would explain anything. With it
+    comes a root (l, l) of its precision.
     """
-    rows, whole = taken
     row_in_table = np.arange(problem.n_rows) if whole is None else measured.row
     whole, x_whole = (problem, x) if whole is None else (whole, whole.at(dict(zip(problem.names, x, strict=True))))
     rows_used = used_rows(problem)
@@ -199,7 +203,7 @@ def whitened_fit(
             knowledge.append(whitened[:, [*range(k), -1]])
             continue
         width = len(group.COMPONENTS)
-        whitened *= np.sqrt(np.repeat(weight[group.row], width))[:, None]
+        whitened *= np.sqrt(np.repeat(weights.examined[group.row], width))[:, None]
         numbers = np.tile(np.arange(components, components + width), len(group.row))
         pieces.append((np.repeat(group.row, width), numbers, whitened))
         components += width
@@ -228,7 +232,7 @@ def whitened_fit(
         component=component[order],
         jac=jac,
         residual=residual[:, 0],
-        pull=np.sqrt(of_loss / weight)[row[order]],
+        pull=np.sqrt(weights.fitted / weights.examined)[row[order]],
         prior=with_prior(problem.prior_sigma, error),
         wide_prior=with_prior(np.where(arm, leeway, problem.prior_sigma), np.where(arm, 0.0, error)),
         fault_jac=fault_jac,
