@@ -109,9 +109,9 @@ def plug_in_error(error: BaseException) -> PlugInError | None:
     for frame, line in reversed(frames):
         if str(frame.f_globals.get("__name__")).partition(".")[0] in packages:
             code = frame.f_code
-            (last, at), reason = frames[-1], f"{type(error).__name__}: {error}"
+            (last, last_line), reason = frames[-1], f"{type(error).__name__}: {error}"
             if str(module := last.f_globals.get("__name__")).startswith("truearm."):
-                reason += f" (raised by {module}, line {at})"
+                reason += f" (raised by {module}, line {last_line})"
             return PlugInError(
                 "wrong-plug-in", place=f"{code.co_filename}, line {line}, in {code.co_name}", reason=reason
             )
